@@ -1,0 +1,142 @@
+"""Lenses: from camera-frame points to pixels and back. One protocol; the pinhole is its first member."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from unidrive_cli.errors import GeometryError
+from unidrive_cli.geometry.arrays import Bool, Float, finite_array
+
+PIXEL_TOLERANCE = 1e-6
+"""Rounding allowed, in pixels, where a point falls exactly on the picture's border."""
+
+MAX_SIDE_PX = 32766
+"""Longest picture side: OpenCV's remap addresses source pixels with 16 bits."""
+
+
+class Lens(Protocol):
+    """What the warp, the coverage and the error need of a lens with its picture size."""
+
+    width_px: int
+    height_px: int
+
+    def project(self, points_cam: Float) -> tuple[Float, Bool]:
+        """Pixels (..., 2) of camera-frame points (..., 3), and where they are inside the picture."""
+
+    def unproject(self, pixels: Float) -> Float:
+        """Unit rays (..., 3) in the camera frame of pixels (..., 2)."""
+
+    def border_sine(self, points_cam: Float) -> Float:
+        """Sine (...) of the angle from each point's ray to the nearest border of the picture's field.
+
+        Positive inside, zero on the border, negative outside.
+        """
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A rectified camera: fx, fy, cx, cy and the picture size, all in pixels.
+
+    Integer pixel coordinates are pixel centres; the picture covers [-0.5, W-0.5] x [-0.5, H-0.5].
+    """
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    width_px: int
+    height_px: int
+
+    def __post_init__(self) -> None:
+        finite_array([self.fx_px, self.fy_px, self.cx_px, self.cy_px], (4,), "camera intrinsics fx, fy, cx, cy")
+        if self.fx_px <= 0 or self.fy_px <= 0:
+            raise GeometryError(f"focal lengths must be positive, got fx {self.fx_px:g}, fy {self.fy_px:g}.")
+        for name, side in (("width", self.width_px), ("height", self.height_px)):
+            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MAX_SIDE_PX:
+                raise GeometryError(f"{name} must be a whole number of pixels from 1 to {MAX_SIDE_PX}, got {side!r}.")
+
+    @classmethod
+    def from_hfov(cls, hfov_deg: float, width_px: int, height_px: int) -> Pinhole:
+        """A centred camera with square pixels and the given horizontal field of view in degrees.
+
+        Raises:
+            GeometryError: a field of view outside (0, 180).
+        """
+        if not 0 < hfov_deg < 180:
+            raise GeometryError(f"horizontal field of view must be inside (0, 180) degrees, got {hfov_deg:g}.")
+        focal_px = width_px / (2 * np.tan(np.deg2rad(hfov_deg) / 2))
+        return cls(float(focal_px), float(focal_px), (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
+
+    @classmethod
+    def from_matrix(cls, intrinsic: Any, width_px: int, height_px: int) -> Pinhole:
+        """The lens of a nuScenes `camera_intrinsic` (3, 3).
+
+        Raises:
+            GeometryError: not 3x3 or not finite, with skew, or with a last row other than 0 0 1.
+        """
+        matrix = finite_array(intrinsic, (3, 3), "camera_intrinsic")
+        off_diagonal = matrix[[0, 1, 2, 2], [1, 0, 0, 1]]
+        if np.abs(off_diagonal).max() > 1e-9 or matrix[2, 2] != 1.0:
+            raise GeometryError(
+                f"camera_intrinsic must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}."
+            )
+        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+        return cls(fx, fy, cx, cy, width_px, height_px)
+
+    @property
+    def matrix(self) -> Float:
+        """K (3, 3), in pixels."""
+        return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
+
+    @property
+    def hfov_deg(self) -> float:
+        """Angle between the left and the right border, in degrees."""
+        return _field_deg(self.fx_px, self.cx_px, self.width_px)
+
+    @property
+    def vfov_deg(self) -> float:
+        """Angle between the upper and the lower border, in degrees."""
+        return _field_deg(self.fy_px, self.cy_px, self.height_px)
+
+    def project(self, points_cam: Float) -> tuple[Float, Bool]:
+        x, y, z = np.moveaxis(points_cam, -1, 0)
+        in_front = z > 0
+        depth = np.where(in_front, z, 1.0)
+        pixels = np.stack([self.fx_px * x / depth + self.cx_px, self.fy_px * y / depth + self.cy_px], axis=-1)
+        return pixels, in_front & self.contains(pixels)
+
+    def contains(self, pixels: Float) -> Bool:
+        """Where pixels (..., 2) lie inside the picture's whole area, to PIXEL_TOLERANCE."""
+        u, v = pixels[..., 0], pixels[..., 1]
+        low, high_u, high_v = -0.5 - PIXEL_TOLERANCE, self.width_px - 0.5, self.height_px - 0.5
+        inside: Bool = (u >= low) & (u <= high_u + PIXEL_TOLERANCE) & (v >= low) & (v <= high_v + PIXEL_TOLERANCE)
+        return inside
+
+    def unproject(self, pixels: Float) -> Float:
+        x = (pixels[..., 0] - self.cx_px) / self.fx_px
+        y = (pixels[..., 1] - self.cy_px) / self.fy_px
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def border_sine(self, points_cam: Float) -> Float:
+        distance = np.linalg.norm(points_cam, axis=-1)
+        to_planes = np.einsum("pk,...k->p...", self.border_normals(), points_cam)
+        sine: Float = to_planes.min(axis=0) / np.maximum(distance, np.finfo(np.float64).tiny)
+        return sine
+
+    def border_normals(self) -> Float:
+        """(4, 3) unit normals, pointing inwards, of the planes through the left, right, top and bottom border."""
+        left, right = self.cx_px + 0.5, self.width_px - 0.5 - self.cx_px
+        top, bottom = self.cy_px + 0.5, self.height_px - 0.5 - self.cy_px
+        normals = np.array(
+            [[self.fx_px, 0, left], [-self.fx_px, 0, right], [0, self.fy_px, top], [0, -self.fy_px, bottom]]
+        )
+        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _field_deg(focal_px: float, centre_px: float, side_px: int) -> float:
+    before, after = (centre_px + 0.5) / focal_px, (side_px - 0.5 - centre_px) / focal_px
+    return float(np.rad2deg(np.arctan(before) + np.arctan(after)))

@@ -1,0 +1,1 @@
+"""Virtual and real camera rigs: the model, the YAML format, the gallery."""

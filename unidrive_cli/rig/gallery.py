@@ -1,0 +1,40 @@
+"""The rigs that ship with unidrive: the files of the top-level `rigs/` folder."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from unidrive_cli.errors import RigError
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.rig.yaml_file import load_rig
+
+
+def gallery_folder() -> Path:
+    """Where the rig files are: inside an installed wheel, or beside the package in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    shipped = package / "rigs"
+    return shipped if shipped.is_dir() else package.parent / "rigs"
+
+
+def gallery_names() -> list[str]:
+    """Names of the shipped rigs, sorted."""
+    return sorted(path.stem for path in gallery_folder().glob("*.yaml"))
+
+
+def load_gallery_rig(name: str) -> Rig:
+    """The shipped rig of that name.
+
+    Raises:
+        RigError: there is none; the sentence suggests the nearest name and lists them all.
+    """
+    names = gallery_names()
+    if name not in names:
+        close = difflib.get_close_matches(name, names, n=1)
+        guess = f"Did you mean {close[0]}? " if close else ""
+        raise RigError(
+            "is neither a rig file, nor a dataset folder, nor a shipped rig.",
+            where=name,
+            hint=f"{guess}Shipped rigs: {', '.join(names)}.",
+        )
+    return load_rig(gallery_folder() / f"{name}.yaml")

@@ -1,0 +1,86 @@
+"""Camera and Rig: frozen, checked at birth, with a digest that names their geometry."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+
+from unidrive_cli.errors import RigError
+from unidrive_cli.geometry.arrays import Float, read_only
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.poses import check_pose, yaw_pitch_roll_from_rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One camera of a rig.
+
+    Attributes:
+        channel: its nuScenes channel name, such as CAM_FRONT.
+        lens: intrinsics and picture size.
+        ego_from_cam: (4, 4) pose; what `calibrated_sensor` stores as translation and rotation.
+    """
+
+    channel: str
+    lens: Pinhole
+    ego_from_cam: Float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ego_from_cam", read_only(check_pose(self.ego_from_cam, "ego_from_cam")))
+
+    @property
+    def centre_ego(self) -> Float:
+        """(3,) optical centre in the ego frame, metres."""
+        return self.ego_from_cam[:3, 3]
+
+    @property
+    def yaw_pitch_roll_deg(self) -> tuple[float, float, float]:
+        """Angles of the rig file's convention, in degrees."""
+        return yaw_pitch_roll_from_rotation(self.ego_from_cam[:3, :3])
+
+    def numbers(self) -> list[object]:
+        """All that a picture through this camera depends on, for digests and cache keys."""
+        lens = self.lens
+        return [
+            self.channel,
+            [lens.width_px, lens.height_px, lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px],
+            self.ego_from_cam.tolist(),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A set of cameras on one vehicle.
+
+    Attributes:
+        name, description: for people; not part of the digest.
+        cameras: at least one; channels are unique.
+        depth_limit_m: default of `--depth-limit` for this rig, or None.
+        ground_height_m: default of `--ground-height` for this rig, or None.
+    """
+
+    name: str
+    description: str
+    cameras: tuple[Camera, ...]
+    depth_limit_m: float | None = None
+    ground_height_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise RigError("a rig needs at least one camera.", where=self.name)
+        channels = self.channels
+        for channel in channels:
+            if channels.count(channel) > 1:
+                raise RigError(f"channel {channel} is given twice; channel names must be unique.", where=self.name)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channel names in the rig's order."""
+        return tuple(camera.channel for camera in self.cameras)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the cameras' channels, lenses and poses."""
+        text = json.dumps([camera.numbers() for camera in self.cameras], separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()

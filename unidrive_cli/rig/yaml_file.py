@@ -1,0 +1,245 @@
+"""The rig file (YAML), read with one clear sentence per mistake."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.error import YAMLError
+
+from unidrive_cli.errors import GeometryError, RigError
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.poses import pose, rotation_from_quaternion, rotation_from_yaw_pitch_roll
+from unidrive_cli.geometry.scene import GroundPlane
+from unidrive_cli.rig.model import Camera, Rig
+
+MAX_FILE_BYTES = 1_000_000
+MAX_CAMERAS = 64
+MAX_PICTURE_PIXELS = 64_000_000
+_CHANNEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
+_RIG_KEYS = ("name", "description", "cameras", "origin", "rear_axle_to_centre", "depth_limit", "ground_height")
+_CAMERA_KEYS = (
+    "width",
+    "height",
+    "hfov",
+    "intrinsics",
+    "position",
+    "yaw",
+    "pitch",
+    "roll",
+    "rotation",
+    "distortion",
+)
+_ORIGINS = ("rear_axle", "vehicle_centre")
+
+
+def load_rig(path: Path) -> Rig:
+    """The rig of a YAML file in the format of docs/rig-files.md.
+
+    Raises:
+        RigError: the file is missing, too large, not YAML, or not a rig; the sentence names the
+            file, the line, the camera and the key.
+    """
+    return parse_rig(_read_text(path), str(path))
+
+
+def parse_rig(text: str, source: str) -> Rig:
+    """The rig of a YAML text; `source` is what error sentences call it.
+
+    Raises:
+        RigError: as `load_rig`.
+    """
+    document = _parse_yaml(text, source)
+    if not isinstance(document, CommentedMap):
+        raise RigError(
+            "a rig file must be a mapping with the keys name and cameras.",
+            where=source,
+            hint="Its format is in docs/rig-files.md.",
+        )
+    _check_keys(document, _RIG_KEYS, ("name", "cameras"), source)
+    offset_x_m = _origin_offset(document, source)
+    ground_height_m = _optional_number(document, "ground_height", source)
+    depth_limit_m = _optional_number(document, "depth_limit", source)
+    if depth_limit_m is not None and depth_limit_m <= 0:
+        raise _error(document, "depth_limit", source, f"must be a positive number of metres, got {depth_limit_m:g}.")
+    entries = document["cameras"]
+    if not isinstance(entries, CommentedMap) or not entries:
+        raise _error(document, "cameras", source, "must map channel names to cameras, and hold at least one.")
+    if len(entries) > MAX_CAMERAS:
+        raise _error(document, "cameras", source, f"holds {len(entries)} cameras; at most {MAX_CAMERAS} are accepted.")
+    ground = GroundPlane(ground_height_m or 0.0)
+    cameras = tuple(_camera(entries, channel, offset_x_m, ground, source) for channel in entries)
+    return Rig(
+        _text(document, "name", source),
+        _text(document, "description", source) if "description" in document else "",
+        cameras,
+        depth_limit_m,
+        ground_height_m,
+    )
+
+
+def _read_text(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise RigError(f"cannot be read: {error.strerror}.", where=str(path)) from error
+    if len(data) > MAX_FILE_BYTES:
+        raise RigError(f"is larger than {MAX_FILE_BYTES} bytes; that is no rig file.", where=str(path))
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RigError(f"is not UTF-8 text (byte {error.start}); a YAML rig file was expected.", where=str(path)) from error
+
+
+def _parse_yaml(text: str, source: str) -> Any:
+    try:
+        return YAML(typ="rt").load(text)
+    except YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{source}, line {mark.line + 1}" if mark is not None else source
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        if type(error).__name__ == "DuplicateKeyError":
+            key = re.search(r'key "(.*?)"', str(problem))
+            what = f"{key.group(1) if key else 'a key'} is given twice; channels and keys must be unique."
+            raise RigError(what, where=place) from error
+        raise RigError(f"is not valid YAML: {problem}.", where=place) from error
+    except (ValueError, RecursionError, AttributeError, TypeError, KeyError) as error:
+        raise RigError("is not valid YAML for a rig.", where=source) from error
+
+
+def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: GroundPlane, source: str) -> Camera:
+    if not isinstance(channel, str) or not _CHANNEL.fullmatch(channel):
+        raise _error(
+            entries, channel, source, "is not a channel name: letters, digits, _ and - were expected, 64 at most."
+        )
+    where = f"{source}, camera {channel}"
+    entry = entries[channel]
+    if not isinstance(entry, CommentedMap):
+        raise RigError("must be a mapping with width, height, hfov, position and yaw.", where=where)
+    _check_keys(entry, _CAMERA_KEYS, ("width", "height", "position"), where)
+    if "distortion" in entry:
+        raise _error(
+            entry, "distortion", where, "is not supported by this version: cameras of a rig file are pinholes."
+        )
+    try:
+        lens = _lens(entry, where)
+        position = _numbers(entry, "position", 3, where)
+        position[0] += offset_x_m
+        camera = Camera(channel, lens, pose(_rotation(entry, where), position))
+    except GeometryError as error:
+        raise RigError(error.what, where=where) from error
+    height_m = float(ground.height_m(camera.centre_ego))
+    if height_m <= 0:
+        raise _error(entry, "position", where, f"puts the camera {-height_m:g} m below the ground.")
+    return camera
+
+
+def _lens(entry: CommentedMap, where: str) -> Pinhole:
+    width, height = (_whole_number(entry, key, where) for key in ("width", "height"))
+    if width * height > MAX_PICTURE_PIXELS:
+        raise _error(entry, "width", where, f"and height give {width * height:,} pixels; at most {MAX_PICTURE_PIXELS:,}.")
+    _exactly_one(entry, "hfov", ("intrinsics",), where)
+    if "hfov" in entry:
+        return Pinhole.from_hfov(_number(entry, "hfov", where), width, height)
+    fx, fy, cx, cy = _numbers(entry, "intrinsics", 4, where)
+    return Pinhole(fx, fy, cx, cy, width, height)
+
+
+def _rotation(entry: CommentedMap, where: str) -> Any:
+    _exactly_one(entry, "yaw", ("rotation",), where)
+    if "rotation" in entry:
+        for key in ("pitch", "roll"):
+            if key in entry:
+                raise _error(entry, key, where, "cannot be given beside rotation, which already says it.")
+        return rotation_from_quaternion(_numbers(entry, "rotation", 4, where), unit_tolerance=1e-3)
+    pitch, roll = (_optional_number(entry, key, where) or 0.0 for key in ("pitch", "roll"))
+    return rotation_from_yaw_pitch_roll(_number(entry, "yaw", where), pitch, roll)
+
+
+def _origin_offset(document: CommentedMap, source: str) -> float:
+    origin = document.get("origin", "rear_axle")
+    if origin not in _ORIGINS:
+        raise _error(document, "origin", source, f"must be {' or '.join(_ORIGINS)}, got {origin!r}.")
+    if origin == "rear_axle":
+        if "rear_axle_to_centre" in document:
+            raise _error(document, "rear_axle_to_centre", source, "only goes with origin: vehicle_centre.")
+        return 0.0
+    if "rear_axle_to_centre" not in document:
+        raise RigError("origin: vehicle_centre needs rear_axle_to_centre, in metres.", where=source)
+    return _number(document, "rear_axle_to_centre", source)
+
+
+def _check_keys(mapping: CommentedMap, known: Iterable[str], needed: Iterable[str], where: str) -> None:
+    known = tuple(known)
+    for key in mapping:
+        if key not in known:
+            close = difflib.get_close_matches(str(key), known, n=1)
+            guess = f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
+            raise _error(mapping, key, where, f"is not a known key; {guess}")
+    for key in needed:
+        if key not in mapping:
+            raise RigError(f"the key {key} is missing.", where=where)
+
+
+def _exactly_one(entry: CommentedMap, key: str, others: tuple[str, ...], where: str) -> None:
+    given = [name for name in (key, *others) if name in entry]
+    if len(given) != 1:
+        names = " or ".join((key, *others))
+        what = "one is missing" if not given else "both are given"
+        raise RigError(f"exactly one of {names} must be given; {what}.", where=where)
+
+
+def _error(mapping: Mapping[Any, Any], key: object, where: str, what: str) -> RigError:
+    line = ""
+    try:
+        line = f", line {mapping.lc.key(key)[0] + 1}"  # type: ignore[attr-defined]
+    except (AttributeError, KeyError, TypeError):
+        pass
+    return RigError(f"{key} {what}", where=f"{where}{line}")
+
+
+def _text(mapping: CommentedMap, key: str, where: str) -> str:
+    value = mapping[key]
+    if not isinstance(value, str | int | float) or isinstance(value, bool) or not str(value).strip():
+        raise _error(mapping, key, where, f"must be a text, got {value!r:.60}.")
+    return str(value)
+
+
+def _number(mapping: CommentedMap, key: str, where: str) -> float:
+    return _as_number(mapping[key], mapping, key, where)
+
+
+def _as_number(value: object, mapping: CommentedMap, key: str, where: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    try:
+        number = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    except OverflowError:
+        number = math.nan
+    if not math.isfinite(number) or abs(number) > 1e9:
+        raise _error(mapping, key, where, f"must be a finite number, got {value!r:.60}.")
+    return number
+
+
+def _optional_number(mapping: CommentedMap, key: str, where: str) -> float | None:
+    return _number(mapping, key, where) if key in mapping else None
+
+
+def _whole_number(mapping: CommentedMap, key: str, where: str) -> int:
+    number = _number(mapping, key, where)
+    if number != int(number):
+        raise _error(mapping, key, where, f"must be a whole number of pixels, got {number:g}.")
+    return int(number)
+
+
+def _numbers(mapping: CommentedMap, key: str, count: int, where: str) -> list[float]:
+    values = mapping[key]
+    if not isinstance(values, list) or len(values) != count:
+        raise _error(mapping, key, where, f"must be a list of {count} numbers, got {values!r:.60}.")
+    return [_as_number(value, mapping, key, where) for value in values]

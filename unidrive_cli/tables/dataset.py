@@ -1,0 +1,284 @@
+"""A nuScenes-format dataset opened for reading: version folder, tables, indexes, poses."""
+
+from __future__ import annotations
+
+import difflib
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from unidrive_cli.errors import DatasetError, GeometryError, UsageError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
+from unidrive_cli.tables.paths import Inside
+from unidrive_cli.tables.schema import (
+    NEEDED,
+    NUSCENES_VISIBILITY,
+    TABLES,
+    Attribute,
+    CalibratedSensor,
+    Category,
+    EgoPose,
+    Instance,
+    Log,
+    Map,
+    Sample,
+    SampleAnnotation,
+    SampleData,
+    Scene,
+    Sensor,
+    Visibility,
+)
+from unidrive_cli.tables.table import Table, read_table, table_of
+
+LIDAR_REFERENCE = "LIDAR_TOP"
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All tables of one version folder, with the links between them as dictionaries.
+
+    Attributes:
+        root: the folder that holds the version folder, `samples` and `sweeps`.
+        version: name of the version folder.
+        extra_tables: further `*.json` files of the version folder, by name without suffix.
+        notes: what was assumed or repaired, one sentence each.
+    """
+
+    root: Path
+    version: str
+    sensor: Table[Sensor]
+    calibrated_sensor: Table[CalibratedSensor]
+    ego_pose: Table[EgoPose]
+    sample: Table[Sample]
+    sample_data: Table[SampleData]
+    scene: Table[Scene]
+    sample_annotation: Table[SampleAnnotation]
+    instance: Table[Instance]
+    category: Table[Category]
+    attribute: Table[Attribute]
+    visibility: Table[Visibility]
+    log: Table[Log]
+    map: Table[Map]
+    extra_tables: dict[str, Path]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def folder(self) -> Path:
+        """The version folder."""
+        return self.root / self.version
+
+    @cached_property
+    def files(self) -> Inside:
+        """Resolves `filename` fields below the root."""
+        return Inside(self.root)
+
+    @cached_property
+    def sensor_of_calibration(self) -> dict[str, Sensor]:
+        """The sensor of each calibrated_sensor token."""
+        return {
+            row.token: self.sensor.get(row.sensor_token, self.calibrated_sensor.place(row, "sensor_token"))
+            for row in self.calibrated_sensor.rows
+        }
+
+    def sensor_of(self, row: SampleData) -> Sensor:
+        """The sensor that recorded a sample_data row.
+
+        Raises:
+            DatasetError: its calibrated_sensor_token points nowhere.
+        """
+        sensor = self.sensor_of_calibration.get(row.calibrated_sensor_token)
+        if sensor is None:
+            self.calibrated_sensor.get(
+                row.calibrated_sensor_token, self.sample_data.place(row, "calibrated_sensor_token")
+            )
+            raise AssertionError("unreachable: the token was just not found")
+        return sensor
+
+    @cached_property
+    def keyframes(self) -> dict[str, list[SampleData]]:
+        """Key frame rows of all sensors by sample token, in table order."""
+        by_sample: dict[str, list[SampleData]] = defaultdict(list)
+        for row in self.sample_data.rows:
+            if row.is_key_frame:
+                by_sample[row.sample_token].append(row)
+        return by_sample
+
+    @cached_property
+    def annotations(self) -> dict[str, list[SampleAnnotation]]:
+        """Annotation rows by sample token, in table order."""
+        by_sample: dict[str, list[SampleAnnotation]] = defaultdict(list)
+        for row in self.sample_annotation.rows:
+            by_sample[row.sample_token].append(row)
+        return by_sample
+
+    @cached_property
+    def samples_of_scene(self) -> dict[str, list[Sample]]:
+        """Samples by scene token, in the order of time."""
+        by_scene: dict[str, list[Sample]] = {row.token: [] for row in self.scene.rows}
+        for row in self.sample.rows:
+            self.scene.get(row.scene_token, self.sample.place(row, "scene_token"))
+            by_scene[row.scene_token].append(row)
+        for samples in by_scene.values():
+            samples.sort(key=lambda row: row.timestamp)
+        return by_scene
+
+    def global_from_ego(self, row: SampleData) -> Float:
+        """(4, 4) pose of the ego vehicle when a sample_data row was recorded, metres.
+
+        Raises:
+            DatasetError: dangling token, or numbers that are no pose.
+        """
+        ego = self.ego_pose.get(row.ego_pose_token, self.sample_data.place(row, "ego_pose_token"))
+        return _pose(self.ego_pose, ego)
+
+    def ego_from_sensor(self, row: CalibratedSensor) -> Float:
+        """(4, 4) pose of a sensor on the vehicle, metres.
+
+        Raises:
+            DatasetError: numbers that are no pose.
+        """
+        return _pose(self.calibrated_sensor, row)
+
+    def global_from_box(self, row: SampleAnnotation) -> Float:
+        """(4, 4) pose of an annotated box, metres.
+
+        Raises:
+            DatasetError: numbers that are no pose.
+        """
+        return _pose(self.sample_annotation, row)
+
+    def lens(self, row: CalibratedSensor, width_px: int, height_px: int) -> Pinhole:
+        """The lens of a camera calibration.
+
+        Raises:
+            DatasetError: intrinsics that are no pinhole camera, or lens distortion.
+        """
+        if row.camera_distortion and any(row.camera_distortion):
+            raise DatasetError(
+                "the camera has lens distortion, which this version cannot convert.",
+                where=self.calibrated_sensor.place(row, "camera_distortion"),
+                hint="Rectify the pictures first.",
+            )
+        try:
+            return Pinhole.from_matrix(row.camera_intrinsic, width_px, height_px)
+        except GeometryError as error:
+            raise DatasetError(error.what, where=self.calibrated_sensor.place(row, "camera_intrinsic")) from error
+
+    def scenes_named(self, names: Iterable[str]) -> list[Scene]:
+        """The scenes of those names, in table order; all of them where no name is given.
+
+        Raises:
+            UsageError: a name that no scene has.
+        """
+        wanted = set(names)
+        known = [row.name for row in self.scene.rows]
+        _refuse_unknown(wanted, known, "--scene", f"scene of {self.folder}")
+        return [row for row in self.scene.rows if not wanted or row.name in wanted]
+
+    def camera_channels(self, names: Iterable[str] = ()) -> list[str]:
+        """Channels of modality camera that the dataset uses, in table order; or those of the given names.
+
+        Raises:
+            UsageError: a name that no camera has.
+        """
+        used = {row.sensor_token for row in self.calibrated_sensor.rows}
+        known = [row.channel for row in self.sensor.rows if row.modality == "camera" and row.token in used]
+        wanted = set(names)
+        _refuse_unknown(wanted, known, "--camera", f"camera of {self.folder}")
+        return [channel for channel in known if not wanted or channel in wanted]
+
+
+def open_dataset(root: Path, version: str | None = None) -> Dataset:
+    """Opens the dataset in a folder.
+
+    Args:
+        root: folder that holds the version folder.
+        version: its name; needed where there are several.
+
+    Raises:
+        DatasetError: no such folder, no version folder, or a table that cannot be used.
+        UsageError: several version folders and no `version`, or a `version` that is not there.
+    """
+    folder = _version_folder(root, version)
+    notes: list[str] = []
+    tables: dict[str, Table[object]] = {}  # type: ignore[type-var]
+    for name in NEEDED:
+        tables[name] = read_table(folder / f"{name}.json", name)
+    for name in (name for name in TABLES if name not in NEEDED):
+        path = folder / f"{name}.json"
+        if path.exists():
+            tables[name] = read_table(path, name)
+        else:
+            records = _minimal_records(name, tables)
+            tables[name] = table_of(name, records)
+            notes.append(f"{name}.json is missing; {len(records)} rows are assumed.")
+    extra = {path.stem: path for path in sorted(folder.glob("*.json")) if path.stem not in TABLES}
+    return Dataset(root, folder.name, **tables, extra_tables=extra, notes=notes)  # type: ignore[arg-type]
+
+
+
+
+def _version_folder(root: Path, version: str | None) -> Path:
+    if not root.exists():
+        raise DatasetError("there is no such folder.", where=str(root))
+    if not root.is_dir():
+        raise DatasetError("is a file; the folder that holds v1.0-* was expected.", where=str(root))
+    try:
+        folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+    except OSError as error:
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(root)) from error
+    found = [folder for folder in folders if (folder / "sensor.json").exists()]
+    found = [folder for folder in found if (folder / "sample_data.json").exists()] or found
+    if version is not None:
+        match = next((folder for folder in found if folder.name == version), None)
+        if match is None:
+            names = ", ".join(folder.name for folder in found) or "none"
+            raise UsageError(f"--version {version}: {root} has no such version folder.", hint=f"It holds: {names}.")
+        return match
+    if len(found) > 1:
+        names = ", ".join(folder.name for folder in found)
+        raise UsageError(f"{root} holds {len(found)} version folders: {names}.", hint="Choose one with --version.")
+    if found:
+        return found[0]
+    if (root / "sensor.json").exists():
+        if not (root / "sample_data.json").exists():
+            read_table(root / "sample_data.json", "sample_data")
+        raise DatasetError(
+            "is a version folder itself.", where=str(root), hint=f"Give the folder above it: {root.resolve().parent}."
+        )
+    raise DatasetError(
+        "holds no version folder: no folder with sensor.json and sample_data.json in it.",
+        where=str(root),
+        hint="Give the folder that holds v1.0-trainval, v1.0-mini or the like.",
+    )
+
+
+def _minimal_records(name: str, tables: dict[str, Table[object]]) -> list[dict[str, object]]:  # type: ignore[type-var]
+    logs = sorted({row.log_token for row in tables["scene"].rows})  # type: ignore[attr-defined]
+    if name == "visibility":
+        return [dict(record) for record in NUSCENES_VISIBILITY]
+    if name == "log":
+        return [
+            {"token": token, "logfile": "", "vehicle": "", "date_captured": "", "location": ""} for token in logs
+        ]
+    if name == "map":
+        return [{"category": "semantic_prior", "token": "unidrive-no-map", "filename": "", "log_tokens": logs}]
+    return []
+
+
+def _pose(table: Table[object], row: CalibratedSensor | EgoPose | SampleAnnotation) -> Float:  # type: ignore[type-var]
+    try:
+        return pose(rotation_from_quaternion(row.rotation), row.translation)
+    except GeometryError as error:
+        raise DatasetError(error.what, where=table.place(row, "rotation")) from error
+
+
+def _refuse_unknown(wanted: set[str], known: list[str], option: str, kind: str) -> None:
+    for name in sorted(wanted - set(known)):
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"Did you mean {close[0]}?" if close else f"There are: {', '.join(known[:12])}."
+        raise UsageError(f"{option} {name}: there is no such {kind}.", hint=hint)

@@ -1,0 +1,70 @@
+"""File names inside a dataset: POSIX, relative, and never outside of it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePosixPath
+
+from unidrive_cli.errors import DatasetError
+
+MAX_FILENAME_CHARACTERS = 1024
+
+
+def check_filename(filename: str, where: str) -> PurePosixPath:
+    """The `filename` of a table row as a safe relative path.
+
+    Raises:
+        DatasetError: empty, absolute, with `..`, NUL or a backslash, or absurdly long.
+    """
+    path = PurePosixPath(filename)
+    problem = None
+    if not filename or not path.parts:
+        problem = "is empty"
+    elif len(filename) > MAX_FILENAME_CHARACTERS:
+        problem = f"has {len(filename)} characters"
+    elif "\0" in filename or "\\" in filename:
+        problem = "holds a NUL or a backslash"
+    elif path.is_absolute() or ".." in path.parts:
+        problem = f"leaves the dataset ({filename[:80]!r})"
+    if problem:
+        raise DatasetError(f"{problem}; a relative POSIX path inside the dataset is expected.", where=where)
+    return path
+
+
+class Inside:
+    """Resolves checked file names below a dataset's root without following links that lead elsewhere.
+
+    The top-level folders may themselves be links to another disk (people do that); below them a
+    link that leads out of its top-level folder is refused.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._top_folders: dict[str, str] = {}
+        self._safe_folders: set[str] = set()
+
+    def resolve(self, filename: str, where: str) -> Path:
+        """The file's path below the root.
+
+        Raises:
+            DatasetError: the name is not safe, or a link leads out of the dataset.
+        """
+        path = check_filename(filename, where)
+        full = self._root.joinpath(path)
+        top = path.parts[0]
+        if top not in self._top_folders:
+            self._top_folders[top] = os.path.realpath(self._root / top) if len(path.parts) > 1 else str(full.parent)
+        home = self._top_folders[top]
+        folder = str(full.parent)
+        if folder not in self._safe_folders:
+            self._refuse_outside(folder, home, filename, where)
+            self._safe_folders.add(folder)
+        if full.is_symlink():
+            self._refuse_outside(str(full), home, filename, where)
+        return full
+
+    def _refuse_outside(self, path: str, home: str, filename: str, where: str) -> None:
+        real = os.path.realpath(path)
+        homes = (home, os.path.realpath(self._root))
+        if not any(real == place or real.startswith(place + os.sep) for place in homes):
+            raise DatasetError(f"{filename[:80]!r} is a link that leads out of the dataset.", where=where)

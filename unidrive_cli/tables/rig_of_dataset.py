@@ -1,0 +1,105 @@
+"""The rig of a dataset: its calibrated cameras."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+from unidrive_cli.errors import DatasetError
+from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
+from unidrive_cli.rig.model import Camera, Rig
+from unidrive_cli.rig.yaml_file import load_rig
+from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.schema import CalibratedSensor, SampleData
+
+
+def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Camera:
+    """The camera that took a picture: its channel, lens and pose on the vehicle.
+
+    Raises:
+        DatasetError: dangling tokens, or numbers that are no camera.
+    """
+    calibration = dataset.calibrated_sensor.get(
+        row.calibrated_sensor_token, dataset.sample_data.place(row, "calibrated_sensor_token")
+    )
+    return Camera(
+        dataset.sensor_of(row).channel,
+        dataset.lens(calibration, *size_px),
+        dataset.ego_from_sensor(calibration),
+    )
+
+
+def rig_of_dataset(dataset: Dataset, scenes: tuple[str, ...] = ()) -> tuple[Rig, list[str]]:
+    """The rig that a dataset's pictures were taken with: the most frequent one where there are several.
+
+    Args:
+        scenes: names of the scenes to look at; all where empty.
+
+    Returns:
+        The rig, and notes that say what was chosen.
+
+    Raises:
+        DatasetError: no camera pictures, a picture without a size, or broken calibrations.
+        UsageError: an unknown scene.
+    """
+    calibrations = dataset.calibrated_sensor.by_token
+    contents: dict[str, str] = {}
+    rigs: Counter[tuple[tuple[str, str, int, int], ...]] = Counter()
+    example: dict[tuple[tuple[str, str, int, int], ...], list[SampleData]] = {}
+    for scene in dataset.scenes_named(scenes):
+        for sample in dataset.samples_of_scene[scene.token]:
+            entries = []
+            for row in dataset.keyframes.get(sample.token, []):
+                sensor = dataset.sensor_of(row)
+                if sensor.modality != "camera":
+                    continue
+                if not row.width or not row.height:
+                    raise DatasetError("the picture has no size.", where=dataset.sample_data.place(row, "width"))
+                if row.calibrated_sensor_token not in contents:
+                    contents[row.calibrated_sensor_token] = _content(calibrations[row.calibrated_sensor_token])
+                entries.append((sensor.channel, contents[row.calibrated_sensor_token], row.width, row.height, row))
+            if entries:
+                entries.sort(key=lambda entry: entry[0])
+                key = tuple(entry[:4] for entry in entries)
+                rigs[key] += 1
+                example.setdefault(key, [entry[4] for entry in entries])
+    if not rigs:
+        raise DatasetError("holds no camera key frames, so it has no rig.", where=str(dataset.folder))
+    (key, count), *others = rigs.most_common()
+    order = {channel: index for index, channel in enumerate(dataset.camera_channels())}
+    rows = sorted(example[key], key=lambda row: order[dataset.sensor_of(row).channel])
+    cameras = tuple(camera_of(dataset, row, (row.width or 0, row.height or 0)) for row in rows)
+    notes = []
+    if others:
+        total = sum(rigs.values())
+        notes.append(
+            f"{dataset.folder} holds {len(rigs)} different calibrations; the most frequent one is taken "
+            f"({count} of {total} samples; --scene picks another)."
+        )
+    return Rig(dataset.root.resolve().name, f"the calibrated cameras of {dataset.version}", cameras), notes
+
+
+def _content(row: CalibratedSensor) -> str:
+    return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
+
+
+def resolve_rig(text: str, scenes: tuple[str, ...] = ()) -> tuple[Rig, list[str]]:
+    """The rig that a RIG argument means: a rig file, a shipped rig's name, or a dataset folder.
+
+    Returns:
+        The rig, and notes that say what was assumed.
+
+    Raises:
+        RigError: neither of the three, or a rig file with a mistake.
+        DatasetError, UsageError: a dataset folder that cannot be read.
+    """
+    path = Path(text)
+    looks_like_path = "/" in text or path.suffix in (".yaml", ".yml")
+    if not looks_like_path and text in gallery_names():
+        return load_gallery_rig(text), []
+    if path.is_dir():
+        return rig_of_dataset(open_dataset(path), scenes)
+    if looks_like_path or path.is_file():
+        return load_rig(path), []
+    return load_gallery_rig(text), []

@@ -1,0 +1,1 @@
+"""From geometry to pixels: remap tables, blending, coverage masks, pictures in and out."""
