@@ -27,6 +27,7 @@ class Finding:
 
 REFERENCES = (
     ("calibrated_sensor", "sensor_token", "sensor"),
+    ("scene", "log_token", "log"),
     ("sample", "scene_token", "scene"),
     ("sample_data", "sample_token", "sample"),
     ("sample_data", "ego_pose_token", "ego_pose"),
@@ -39,7 +40,6 @@ REFERENCES = (
 """(table, field, table it points to) of the links that must hold."""
 
 MENDABLE = (
-    ("scene", "log_token", "log"),
     ("scene", "first_sample_token", "sample"),
     ("scene", "last_sample_token", "sample"),
     ("sample", "prev", "sample"),
@@ -77,4 +77,4 @@ def _may_be_empty(table: str, field: str, row: object, token: str | None) -> boo
         return False
     if (table, field) == ("sample_data", "sample_token"):
         return not getattr(row, "is_key_frame", True)
-    return (table, field) == ("sample_annotation", "visibility_token")
+    return (table, field) in (("sample_annotation", "visibility_token"), ("scene", "log_token"))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
+import json
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -70,6 +72,14 @@ class Dataset:
     def folder(self) -> Path:
         """The version folder."""
         return self.root / self.version
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 (hex) of all tables, the extra ones included."""
+        digests = {name: getattr(self, name).digest for name in TABLES}
+        for name, path in self.extra_tables.items():
+            digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
     @cached_property
     def files(self) -> Inside:

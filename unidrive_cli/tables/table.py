@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -29,12 +30,14 @@ class Table(Generic[R]):
         file: the path, for error sentences.
         rows: typed rows.
         raw: JSON text of each row, in the same order; what is written for rows that stay.
+        digest: SHA-256 (hex) of the file.
     """
 
     name: str
     file: str
     rows: list[R]
     raw: list[bytes | msgspec.Raw]
+    digest: str
 
     @cached_property
     def by_token(self) -> dict[str, R]:
@@ -98,14 +101,15 @@ def read_table(path: Path, name: str) -> Table[Any]:
             rows.append(decode(text))
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise _bad_row(raw[len(rows)], len(rows), file, str(error)) from error
-    return Table(name, file, rows, list(raw))
+    return Table(name, file, rows, list(raw), hashlib.sha256(data).hexdigest())
 
 
 def table_of(name: str, records: Iterable[dict[str, Any]]) -> Table[Any]:
     """A table that no file holds, from full records."""
     raw = [msgspec.json.encode(record) for record in records]
     decode = msgspec.json.Decoder(TABLES[name]).decode
-    return Table(name, f"{name}.json", [decode(text) for text in raw], list(raw))
+    digest = hashlib.sha256(b"\n".join(raw)).hexdigest()
+    return Table(name, f"{name}.json", [decode(text) for text in raw], list(raw), digest)
 
 
 def write_rows(path: Path, raw: Iterable[bytes | msgspec.Raw]) -> int:

@@ -1,0 +1,40 @@
+"""POSE: quaternions and translations of the needed tables must be poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unidrive_cli.errors import DatasetError
+from unidrive_cli.tables.dataset import Dataset
+
+
+def check_poses(dataset: Dataset) -> None:
+    """POSE-1: every rotation has a norm, every translation is finite; no box has a negative size.
+
+    Raises:
+        DatasetError: naming the first row that breaks it.
+    """
+    for table in (dataset.calibrated_sensor, dataset.ego_pose, dataset.sample_annotation):
+        rows = table.rows
+        rotations = np.array([row.rotation for row in rows], dtype=np.float64).reshape(-1, 4)
+        translations = np.array([row.translation for row in rows], dtype=np.float64).reshape(-1, 3)
+        with np.errstate(over="ignore", invalid="ignore"):
+            norms = np.linalg.norm(rotations, axis=1)
+        bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 1e-6)))
+        if len(bad):
+            row = rows[bad[0]]
+            raise DatasetError(
+                f"{list(row.rotation)} has norm {norms[bad[0]]:g}; a unit quaternion w, x, y, z was expected.",
+                where=table.place(row, "rotation"),
+            )
+        bad = np.flatnonzero(~np.isfinite(translations).all(axis=1))
+        if len(bad):
+            raise DatasetError(
+                "must be three finite numbers in metres.", where=table.place(rows[bad[0]], "translation")
+            )
+    for box in dataset.sample_annotation.rows:
+        if min(box.size) < 0:
+            raise DatasetError(
+                f"{list(box.size)}: width, length and height in metres cannot be negative.",
+                where=dataset.sample_annotation.place(box, "size"),
+            )

@@ -1,0 +1,208 @@
+"""`unidrive convert`."""
+
+from __future__ import annotations
+
+import enum
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from unidrive_cli.cli.progress import Progress
+from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, guarded, human_bytes, plural
+
+if TYPE_CHECKING:
+    from unidrive_cli.convert.finalise import Summary
+    from unidrive_cli.convert.plan import Plan
+
+
+class Blend(str, enum.Enum):
+    angular = "angular"
+    nearest = "nearest"
+
+
+class Masks(str, enum.Enum):
+    frame = "frame"
+    camera = "camera"
+    none = "none"
+
+
+class Visibility(str, enum.Enum):
+    lower = "lower"
+    keep = "keep"
+
+
+class UnseenBoxes(str, enum.Enum):
+    keep = "keep"
+    drop = "drop"
+
+
+class Link(str, enum.Enum):
+    hardlink = "hardlink"
+    symlink = "symlink"
+    copy = "copy"
+
+
+class OnError(str, enum.Enum):
+    stop = "stop"
+    skip = "skip"
+
+
+class Verify(str, enum.Enum):
+    sample = "sample"
+    full = "full"
+
+
+def _option(default: Any, *names: str, help: str, **more: Any) -> Any:
+    variable = "UNIDRIVE_" + names[0].split("/")[0].lstrip("-").upper().replace("-", "_")
+    return typer.Option(default, *names, help=help, envvar=variable, **more)
+
+
+@guarded
+def convert_command(
+    src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
+    dst: Path = typer.Argument(..., metavar="DST", help="Where the converted dataset goes."),
+    rig: str = _option(..., "--rig", help="Virtual rig: a rig file, a shipped rig's name, or a dataset folder."),
+    version: str | None = _option(None, "--version", help="Version folder, where SRC has several.", show_default=False),
+    scene: list[str] = SCENES,
+    camera: list[str] = _option([], "--camera", help="Use only this source camera (repeatable).", show_default=False),
+    depth_limit: float | None = _option(
+        None, "--depth-limit", help="D0: distance in metres of what is not ground. [default: the rig's, or 50]"
+    ),
+    ground_height: float | None = _option(
+        None, "--ground-height", help="Height in metres of the ground in the ego frame. [default: the rig's, or 0]"
+    ),
+    blend: Blend = _option(Blend.angular, "--blend", help="How overlapping source pictures are joined."),
+    ego_motion: bool = _option(
+        True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
+    ),
+    quality: int = _option(95, "--quality", help="JPEG quality, 1 to 100."),
+    masks: Masks = _option(Masks.frame, "--masks", help="Coverage masks: one per picture, one per camera, or none."),
+    visibility: Visibility = _option(
+        Visibility.lower, "--visibility", help="Lower a box's visibility where the virtual rig shows less of it."
+    ),
+    unseen_boxes: UnseenBoxes = _option(
+        UnseenBoxes.keep, "--unseen-boxes", help="Boxes that no virtual pixel shows."
+    ),
+    link: Link = _option(
+        Link.hardlink, "--link", help="How unchanged files come into DST; links share SRC's data: treat as read-only."
+    ),
+    jobs: int | None = _option(
+        None, "--jobs", "-j", help="Worker processes; 0 works in this process. [default: one per core]"
+    ),
+    on_error: OnError = _option(OnError.stop, "--on-error", help="At a broken picture: stop, or leave its sample out."),
+    verify: Verify = _option(Verify.sample, "--verify", help="Decode a sample of the pictures at the end, or all."),
+    dry_run: bool = _option(False, "--dry-run", help="Say what would be done; write nothing."),
+    force: bool = _option(False, "--force", help="Replace a DST that holds another conversion of ours."),
+    as_json: bool = JSON,
+    config: Path | None = CONFIG,
+    debug: bool = DEBUG,
+) -> None:
+    """Render a nuScenes-format dataset through a virtual rig, annotations included."""
+    from unidrive_cli.convert.destination import check_apart, check_destination, free_bytes
+    from unidrive_cli.convert.options import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIGHT_M, Options
+    from unidrive_cli.convert.plan import make_plan
+    from unidrive_cli.convert.run import convert
+    from unidrive_cli.tables.dataset import open_dataset
+    from unidrive_cli.tables.rig_of_dataset import resolve_rig
+
+    virtual_rig, rig_notes = resolve_rig(rig)
+    options = Options(
+        depth_limit_m=_first(depth_limit, virtual_rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
+        ground_height_m=_first(ground_height, virtual_rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
+        blend=blend.value,
+        ego_motion=ego_motion,
+        quality=quality,
+        scenes=tuple(sorted(set(scene))),
+        cameras=tuple(sorted(set(camera))),
+        masks=masks.value,
+        visibility=visibility.value,
+        unseen_boxes=unseen_boxes.value,
+        link=link.value,
+        on_error=on_error.value,
+        verify=verify.value,
+        jobs=(os.cpu_count() or 1) if jobs is None else jobs,
+    )
+    check_apart(src, dst)
+    plan = make_plan(open_dataset(src, version), virtual_rig, options)
+    for note in rig_notes:
+        typer.echo(f"note: {note}", err=True)
+    if dry_run:
+        check_destination(dst, plan.identity, force=force)
+        _say_plan(plan, dst, free_bytes(dst), as_json)
+        return
+    with Progress("samples", sys.stderr) as progress:
+        summary = convert(plan, dst, force=force, progress=progress)
+    if as_json:
+        typer.echo(json.dumps(summary.as_json()))
+    else:
+        _say_summary(summary, plan, dst)
+    if summary.failures:
+        for failure in summary.failures:
+            typer.echo(f"left out: sample {failure.sample_token}: {failure.sentence}", err=True)
+        raise typer.Exit(1)
+
+
+def _first(*values: float | None) -> float:
+    return next(value for value in values if value is not None)
+
+
+def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
+    estimate = plan.estimated_bytes()
+    document = {
+        "samples": len(plan.units),
+        "scenes": len({unit.scene.token for unit in plan.units}),
+        "pictures": plan.picture_count,
+        "source_pictures": sum(len(unit.sources) for unit in plan.units),
+        "annotations": sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units),
+        "estimated_bytes": estimate,
+        "free_bytes": free,
+        "rig": plan.rig.name,
+        "notes": plan.notes,
+    }
+    if as_json:
+        typer.echo(json.dumps(document))
+        return
+    typer.echo(
+        f"{plan.dataset.folder} -> {dst} through {plan.rig.name}: {plural(len(plan.units), 'sample')} in "
+        f"{plural(document['scenes'], 'scene')}"
+    )
+    typer.echo(f"reads  {plural(document['source_pictures'], 'source picture')}")
+    typer.echo(
+        f"writes {plural(plan.picture_count, 'picture')}, about {human_bytes(estimate)} "
+        f"({human_bytes(free)} free); {plural(document['annotations'], 'annotation')}"
+    )
+    for note in plan.notes:
+        typer.echo(f"note: {note}")
+    typer.echo("nothing was written (--dry-run)")
+
+
+def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
+    counts = summary.counts
+    if summary.already_complete:
+        typer.echo(f"{dst} already holds this conversion, complete; nothing was done.")
+        return
+    pictures = counts.samples * len(plan.rig.cameras)
+    typer.echo(
+        f"{dst}: {plural(counts.samples, 'sample')}, {plural(pictures, 'picture')} "
+        f"({human_bytes(summary.picture_bytes)}), {plural(counts.annotations, 'annotation')}, "
+        f"{plural(counts.boxes_2d, '2D boxes')[:-2] if counts.boxes_2d == 1 else f'{counts.boxes_2d:,} 2D boxes'}"
+    )
+    covered = ", ".join(f"{channel} {share:.0%}" for channel, share in summary.covered.items())
+    typer.echo(f"covered: {covered}")
+    if counts.visibility_lowered:
+        typer.echo(f"visibility lowered for {counts.visibility_lowered:,} of {counts.annotations:,} annotations")
+    if counts.boxes_unseen:
+        fate = "left out" if counts.boxes_dropped else "kept with the lowest visibility"
+        typer.echo(f"{plural(counts.boxes_unseen, 'annotation')} shown by no virtual pixel: {fate}")
+    for note in summary.notes:
+        typer.echo(f"note: {note}")
+    if summary.verified:
+        verified = summary.verified
+        typer.echo(
+            f"verified: nuscenes-devkit opens it; {verified.tables} tables, {verified.pictures_decoded:,} of "
+            f"{verified.pictures_present:,} pictures decoded"
+        )

@@ -1,0 +1,40 @@
+"""The `unidrive` program."""
+
+from __future__ import annotations
+
+import typer
+
+from unidrive_cli import __version__
+from unidrive_cli.cli.convert import convert_command
+from unidrive_cli.cli.inspect_rig import inspect_rig_command
+
+app = typer.Typer(
+    name="unidrive",
+    help="Convert nuScenes-format datasets to one shared virtual camera rig.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"unidrive {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    """Convert nuScenes-format datasets to one shared virtual camera rig."""
+
+
+app.command("convert")(convert_command)
+app.command("inspect-rig")(inspect_rig_command)
+
+
+def run() -> None:
+    """Entry point of the console script."""
+    app()

@@ -1,0 +1,1 @@
+"""The conversion: plan -> units of work -> finalise."""

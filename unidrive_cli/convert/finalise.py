@@ -1,0 +1,248 @@
+"""The end of a conversion: files that go along, tables, verification, provenance."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+
+from unidrive_cli import __version__
+from unidrive_cli.convert.destination import MARKER, PROVENANCE, RUN, Destination
+from unidrive_cli.convert.links import carried_files, carry
+from unidrive_cli.convert.output_tables import Counts, OutputTables
+from unidrive_cli.convert.plan import Plan
+from unidrive_cli.convert.training_notes import training_notes
+from unidrive_cli.convert.units import Receipt, write_file
+from unidrive_cli.convert.verify import Verified, verify
+from unidrive_cli.errors import OutputError
+from unidrive_cli.geometry.poses import inverse
+from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
+from unidrive_cli.tables.table import write_rows
+from unidrive_cli.warp.pictures import encode_mask
+from unidrive_cli.warp.remap import Source
+from unidrive_cli.warp.render import Renderer
+
+
+_KEPT = ("covered", "picture_bytes", "files_carried", "files_missing", "notes")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A unit that was left out, and why."""
+
+    sample_token: str
+    sentence: str
+
+
+@dataclass
+class Summary:
+    """What a conversion did.
+
+    Attributes:
+        counts: rows and boxes of the output.
+        covered: mean share of covered pixels per virtual camera.
+        picture_bytes: size of all pictures together.
+        files_carried, files_missing: files that go along; files that the source itself lacks.
+        failures: units left out.
+        notes: what a user should know.
+        verified: what the final verification looked at.
+        already_complete: DST held this very conversion, finished; nothing was done.
+        seconds: by stage.
+    """
+
+    counts: Counts
+    covered: dict[str, float]
+    picture_bytes: int
+    files_carried: int
+    files_missing: int
+    failures: list[Failure]
+    notes: list[str]
+    verified: Verified | None = None
+    already_complete: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """For `--json`."""
+        return asdict(self)
+
+
+def finalise(
+    plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure]
+) -> Summary:
+    """Turns finished units into a dataset: nothing looks whole before everything is verified.
+
+    Raises:
+        OutputError: DST cannot be written.
+        CheckError: the verification found something wrong; DST keeps its marker.
+    """
+    tables = OutputTables(plan, receipts)
+    notes: list[str] = []
+    staged = destination.work / "tables"
+    try:
+        shutil.rmtree(staged, ignore_errors=True)
+        staged.mkdir(parents=True)
+        tables.write(_writer(staged))
+        extra_rows = _extra_tables(plan, tables, staged, notes)
+        carried, missing = _carry_files(plan, destination, tables, extra_rows, notes)
+        _map_pictures(plan, destination, notes)
+        if plan.options.masks == "camera":
+            _camera_masks(plan, destination)
+        summary = _summary(plan, receipts, tables.counts, carried, missing, failures, notes)
+        write_file(destination.root / "TRAINING.md", training_notes(plan).encode())
+        summary.verified = verify(plan, destination, staged)
+        final = destination.root / plan.dataset.version
+        shutil.rmtree(final, ignore_errors=True)
+        staged.rename(final)
+        write_file(destination.root / PROVENANCE, _provenance(plan, summary))
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written: {error.strerror}.",
+            where=str(error.filename or destination.root),
+            hint="Run the same command again when this is mended.",
+        ) from error
+    return summary
+
+
+def read_summary(destination: Destination) -> Summary:
+    """The summary of a finished destination, from its provenance file.
+
+    Raises:
+        OutputError: the file is not ours or was changed.
+    """
+    path = destination.root / PROVENANCE
+    try:
+        document = json.loads(path.read_bytes())
+        kept = {name: document[name] for name in _KEPT}
+        counts = Counts(**document["counts"])
+        failures = [Failure(**failure) for failure in document["failures"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutputError("is not a provenance file of unidrive.", where=str(path), hint="Use --force.") from error
+    return Summary(counts=counts, failures=failures, already_complete=True, **kept)
+
+
+def close(destination: Destination, summary: Summary) -> None:
+    """Writes `run.json` and takes the marker away: from here on the dataset is complete."""
+    run = {
+        "seconds": summary.seconds,
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
+    write_file(destination.root / RUN, _json(run))
+    try:
+        (destination.root / MARKER).unlink(missing_ok=True)
+        shutil.rmtree(destination.work)
+    except OSError as error:
+        raise OutputError(f"cannot be removed: {error.strerror}.", where=str(destination.work)) from error
+
+
+def _writer(folder: Path) -> Callable[[str, Iterable[bytes | msgspec.Raw]], int]:
+    return lambda name, rows: write_rows(folder / f"{name}.json", rows)
+
+
+def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[str]) -> list[dict[str, Any]]:
+    kept_rows: list[dict[str, Any]] = []
+    for name, kept, left in tables.extra_tables():
+        source = plan.dataset.extra_tables[name]
+        if kept is None or not left:
+            shutil.copyfile(source, folder / source.name)
+        else:
+            write_rows(folder / source.name, map(msgspec.json.encode, kept))
+            notes.append(f"{source.name}: {left} rows belong to pictures or samples that are gone, and left with them.")
+        kept_rows.extend(kept or [])
+    return kept_rows
+
+
+def _carry_files(
+    plan: Plan, destination: Destination, tables: OutputTables, extra_rows: list[dict[str, Any]], notes: list[str]
+) -> tuple[int, int]:
+    carried = missing = 0
+    example = ""
+    for filename in carried_files(plan.dataset, list(tables.kept_sample_data.values()), extra_rows):
+        if carry(plan.dataset, filename, destination.root, plan.options.link):
+            carried += 1
+        else:
+            missing += 1
+            example = example or filename
+    if missing:
+        notes.append(f"{missing} files of other sensors or tables are missing in the source too, such as {example}.")
+    return carried, missing
+
+
+def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> None:
+    """nuscenes-devkit refuses a dataset whose map picture is missing: an empty one takes its place."""
+    for row in plan.dataset.map.rows:
+        target = destination.root / row.filename
+        if row.filename and not target.exists():
+            write_file(target, encode_mask(np.zeros((10, 10), dtype=np.uint8)))
+            notes.append(f"The map picture {row.filename} is missing in the source; an empty one was written.")
+
+
+def _camera_masks(plan: Plan, destination: Destination) -> None:
+    """Static coverage: the source's most frequent rig, all cameras at one moment."""
+    options = plan.options
+    rig, _ = rig_of_dataset(plan.dataset, options.scenes)
+    chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
+    sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
+    renderer = Renderer(plan.rig, options.depth_limit_m, options.ground_height_m, options.blend)
+    for camera, view in zip(plan.rig.cameras, renderer.tables(sources), strict=True):
+        write_file(destination.root / "masks" / f"{camera.channel}.png", view.mask_png)
+
+
+def _summary(
+    plan: Plan,
+    receipts: dict[str, Receipt],
+    counts: Counts,
+    carried: int,
+    missing: int,
+    failures: list[Failure],
+    notes: list[str],
+) -> Summary:
+    def relative(sentence: str) -> str:
+        """The same bytes wherever the source lies."""
+        return sentence.replace(f"{plan.dataset.root}/", "")
+
+    kept = [receipts[unit.sample.token] for unit in plan.units if unit.sample.token in receipts]
+    means = np.mean([receipt.covered for receipt in kept], axis=0) if kept else np.zeros(len(plan.rig.cameras))
+    return Summary(
+        counts,
+        {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)},
+        sum(sum(receipt.picture_bytes) for receipt in kept),
+        carried,
+        missing,
+        [Failure(failure.sample_token, relative(failure.sentence)) for failure in failures],
+        [relative(note) for note in (*plan.notes, *notes)],
+    )
+
+
+def _provenance(plan: Plan, summary: Summary) -> bytes:
+    return _json(
+        {
+            "schema_version": 1,
+            "unidrive": __version__,
+            "plan": plan.identity,
+            "plan_digest": plan.digest,
+            "rig": {
+                "name": plan.rig.name,
+                "digest": plan.rig.digest,
+                "cameras": [camera.numbers() for camera in plan.rig.cameras],
+            },
+            "counts": asdict(summary.counts),
+            "failures": [asdict(failure) for failure in summary.failures],
+            **{name: getattr(summary, name) for name in _KEPT},
+        }
+    )
+
+
+def _json(document: dict[str, Any]) -> bytes:
+    return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()

@@ -1,0 +1,69 @@
+"""What a user can choose about a conversion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from unidrive_cli.errors import UsageError
+from unidrive_cli.warp.remap import Blend
+
+DEFAULT_DEPTH_LIMIT_M = 50.0
+DEFAULT_GROUND_HEIGHT_M = 0.0
+
+Masks = Literal["frame", "camera", "none"]
+Link = Literal["hardlink", "symlink", "copy"]
+VerifyLevel = Literal["sample", "full"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `convert`, after the rig's own defaults were taken into account.
+
+    Attributes:
+        depth_limit_m: D0, the radius of the half-ball in metres.
+        ground_height_m: height of the ground in the ego frame, metres.
+        blend: `angular` mixes overlapping sources, `nearest` takes the one with the largest weight.
+        ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
+            the reference's.
+        quality: JPEG quality, 1 to 100.
+        scenes, cameras: names; all where empty.
+        masks: one coverage mask per picture, one per virtual camera, or none.
+        visibility: `lower` it where the virtual rig shows less of a box, or `keep`.
+        unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
+        link: how files that do not change come into the output.
+        on_error: `stop` at the first broken sample, or `skip` it.
+        verify: `sample` of the pictures decoded at the end, or `full`.
+        jobs: worker processes; 0 works in this process.
+    """
+
+    depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M
+    ground_height_m: float = DEFAULT_GROUND_HEIGHT_M
+    blend: Blend = "angular"
+    ego_motion: bool = True
+    quality: int = 95
+    scenes: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+    masks: Masks = "frame"
+    visibility: Literal["lower", "keep"] = "lower"
+    unseen_boxes: Literal["keep", "drop"] = "keep"
+    link: Link = "hardlink"
+    on_error: Literal["stop", "skip"] = "stop"
+    verify: VerifyLevel = "sample"
+    jobs: int = 0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.quality <= 100:
+            raise UsageError(f"--quality must be from 1 to 100, got {self.quality}.")
+        if not 0 < self.depth_limit_m <= 1e6:
+            raise UsageError(f"--depth-limit must be a positive number of metres, got {self.depth_limit_m:g}.")
+        if not abs(self.ground_height_m) <= 1e3:
+            raise UsageError(f"--ground-height must be a height in metres, got {self.ground_height_m:g}.")
+        if self.jobs < 0:
+            raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
+
+    def identity(self) -> dict[str, Any]:
+        """The options that the output depends on, for the plan's digest and the provenance file."""
+        apart = ("jobs", "verify", "link", "on_error")
+        chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

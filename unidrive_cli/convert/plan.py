@@ -1,0 +1,325 @@
+"""The plan: what would be written, from which pictures; everything that can be refused is refused here."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unidrive_cli import __version__
+from unidrive_cli.check.poses import check_poses
+from unidrive_cli.check.references import check_references
+from unidrive_cli.convert.options import Options
+from unidrive_cli.convert.units import Frame, FrameSource
+from unidrive_cli.errors import DatasetError, GeometryError, PictureError, RigError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.poses import inverse, relative
+from unidrive_cli.geometry.scene import GroundPlane, HalfBall
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
+from unidrive_cli.tables.rig_of_dataset import camera_of
+from unidrive_cli.tables.schema import Sample, SampleData, Scene
+from unidrive_cli.warp.pictures import picture_size
+
+METHOD = 1
+"""Version of what the pictures and tables depend on; a change of results raises it."""
+
+STANDARD_CHANNELS = (
+    "CAM_FRONT",
+    "CAM_FRONT_LEFT",
+    "CAM_FRONT_RIGHT",
+    "CAM_BACK",
+    "CAM_BACK_LEFT",
+    "CAM_BACK_RIGHT",
+)
+_JPEG_BYTES_PER_PIXEL = ((50, 0.06), (80, 0.11), (90, 0.145), (95, 0.21), (100, 0.55))
+_MASK_BYTES = 4_000
+_ROW_BYTES = 700
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """One unit of work: a sample with the rows it is rendered from.
+
+    Attributes:
+        scene, sample: its rows.
+        reference: the row whose time and ego pose the virtual pictures take.
+        sources: the camera key frames, at most one per channel.
+        pictures: file name of each virtual picture, in the rig's order.
+    """
+
+    scene: Scene
+    sample: Sample
+    reference: SampleData
+    sources: tuple[SampleData, ...]
+    pictures: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything that a conversion will do.
+
+    Attributes:
+        dataset, rig, options: what it was made from.
+        units: one per sample, by scene and time.
+        notes: what a user should know, one sentence each.
+    """
+
+    dataset: Dataset
+    rig: Rig
+    options: Options
+    units: list[Unit]
+    notes: list[str]
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What the output depends on; the plan's digest names it."""
+        return {
+            "method": METHOD,
+            "version": __version__,
+            "source": {"version": self.dataset.version, "digest": self.dataset.digest},
+            "rig": {"name": self.rig.name, "digest": self.rig.digest},
+            "options": self.options.identity(),
+            "codec": {"decode": "simplejpeg", "encode": "opencv"},
+            "kernel": "opencv-fixed-point",
+        }
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of `identity`."""
+        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    def frame(self, unit: Unit) -> Frame:
+        """The unit as its worker needs it: files, cameras and boxes, no tables.
+
+        Raises:
+            DatasetError: numbers that are no camera or no pose.
+        """
+        dataset = self.dataset
+        global_from_ego = dataset.global_from_ego(unit.reference)
+        return Frame(
+            unit.sample.token,
+            unit.pictures,
+            tuple(self._source(row, global_from_ego) for row in unit.sources),
+            *self._boxes(unit, global_from_ego),
+        )
+
+    def _source(self, row: SampleData, global_from_ego: Float) -> FrameSource:
+        where = self.dataset.sample_data.place(row, "filename")
+        path = self.dataset.files.resolve(row.filename, where)
+        if row.width and row.height:
+            size = row.width, row.height
+        else:
+            size = picture_size(_read_head(path), str(path))
+        camera = camera_of(self.dataset, row, size)
+        cam_from_ego = inverse(camera.ego_from_cam)
+        if self.options.ego_motion:
+            cam_from_ego = cam_from_ego @ relative(self.dataset.global_from_ego(row), global_from_ego)
+        return FrameSource(str(path), camera.lens, cam_from_ego)
+
+    def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
+        rows = self.dataset.annotations.get(unit.sample.token, [])
+        poses = [relative(global_from_ego, self.dataset.global_from_box(row)) for row in rows]
+        sizes = np.array([row.size for row in rows], dtype=np.float64).reshape(-1, 3)
+        return np.array(poses, dtype=np.float64).reshape(-1, 4, 4), sizes
+
+    @property
+    def picture_count(self) -> int:
+        """Virtual pictures that will be written."""
+        return len(self.units) * len(self.rig.cameras)
+
+    def estimated_bytes(self) -> int:
+        """Disk that pictures, masks and tables will take, roughly; linked files not counted."""
+        pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in self.rig.cameras)
+        per_pixel = float(np.interp(self.options.quality, *zip(*_JPEG_BYTES_PER_PIXEL, strict=True)))
+        masks = _MASK_BYTES * self.picture_count if self.options.masks == "frame" else 0
+        tables = sum(len(text) for text in self.dataset.sample_annotation.raw) + _ROW_BYTES * self.picture_count
+        return int(pixels * per_pixel) * len(self.units) + masks + tables
+
+
+def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
+    """Plans a conversion, and refuses what cannot be converted before anything is written.
+
+    Raises:
+        DatasetError: dangling tokens, broken poses or calibrations, missing pictures, no samples.
+        RigError, UsageError: a rig or an option that does not fit the dataset.
+    """
+    _check_rig(dataset, rig, options)
+    notes = list(dataset.notes)
+    mended = []
+    for finding in check_references(dataset):
+        if finding.error:
+            raise DatasetError(finding.what, where=finding.where, hint="The dataset is incomplete or broken.")
+        mended.append(finding)
+    if mended:
+        notes.append(
+            f"{len(mended)} list links point outside of the dataset and are closed in the output "
+            f"(the first: {mended[0].where} {mended[0].what[:-1]})."
+        )
+    check_poses(dataset)
+    channels = set(dataset.camera_channels(options.cameras))
+    units = list(_units(dataset, rig, options, channels))
+    if not units:
+        raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
+    notes.extend(_source_notes(dataset, units, channels, options))
+    notes.extend(consumer_notes(rig, dataset))
+    plan = Plan(dataset, rig, options, units, notes)
+    _check_cameras(plan)
+    return plan
+
+
+def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
+    """What off-the-shelf trainers will stumble over with this rig, one sentence each (docs/output.md)."""
+    notes = []
+    if sorted(rig.channels) != sorted(STANDARD_CHANNELS):
+        notes.append(
+            f"{len(rig.cameras)} cameras named {', '.join(rig.channels)}: BEVDet, PETR, BEVFormer and mmdetection3d "
+            "expect the six nuScenes channels and must be told (TRAINING.md)."
+        )
+    sizes = {(camera.lens.width_px, camera.lens.height_px) for camera in rig.cameras}
+    if len(sizes) > 1:
+        notes.append("The virtual cameras have several picture sizes: trainers that stack pictures need one.")
+    elif sizes != {(1600, 900)}:
+        width, height = sizes.pop()
+        notes.append(f"Pictures are {width}x{height}: trainers that assume 1600x900 must be told (TRAINING.md).")
+    if LIDAR_REFERENCE not in {row.channel for row in dataset.sensor.rows}:
+        notes.append(f"The source has no {LIDAR_REFERENCE}: most trainers and the devkit's evaluation need one.")
+    return notes
+
+
+def _check_rig(dataset: Dataset, rig: Rig, options: Options) -> None:
+    others = {row.channel for row in dataset.sensor.rows if row.modality != "camera"}
+    for camera in rig.cameras:
+        if camera.channel in others:
+            raise RigError(f"{camera.channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
+        try:
+            HalfBall(camera.centre_ego, options.depth_limit_m, GroundPlane(options.ground_height_m))
+        except GeometryError as error:
+            raise RigError(error.what, where=f"{rig.name}, camera {camera.channel}") from error
+
+
+def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:
+    logfiles = {row.token: row.logfile for row in dataset.log.rows}
+    names: Counter[str] = Counter()
+    for scene in dataset.scenes_named(options.scenes):
+        stem = _file_stem(logfiles.get(scene.log_token, "") or scene.name)
+        for sample in dataset.samples_of_scene[scene.token]:
+            rows = dataset.keyframes.get(sample.token, [])
+            reference = _reference(dataset, sample, rows)
+            timestamp = str(round(reference.timestamp))
+            names[stem + timestamp] += 1
+            if names[stem + timestamp] > 1:
+                timestamp += f"-{names[stem + timestamp]}"
+            yield Unit(
+                scene,
+                sample,
+                reference,
+                _sources(dataset, rows, reference, channels),
+                tuple(f"samples/{channel}/{stem}__{channel}__{timestamp}.jpg" for channel in rig.channels),
+            )
+
+
+def _reference(dataset: Dataset, sample: Sample, rows: list[SampleData]) -> SampleData:
+    """The row whose time and pose the virtual pictures take: LIDAR_TOP, another lidar, or the nearest camera."""
+    sensors = {row.token: dataset.sensor_of(row) for row in rows}
+    ranks = {"lidar": 1, "camera": 2}
+    candidates = [row for row in rows if sensors[row.token].modality in ranks]
+    if not candidates:
+        raise DatasetError(
+            "the sample has no key frame of a lidar or a camera, so it has no pose.",
+            where=dataset.sample.place(sample, "token"),
+        )
+
+    def rank(row: SampleData) -> tuple[int, float, str]:
+        sensor = sensors[row.token]
+        top = sensor.channel == LIDAR_REFERENCE
+        return (0 if top else ranks[sensor.modality], abs(row.timestamp - sample.timestamp), sensor.channel)
+
+    return min(candidates, key=rank)
+
+
+def _sources(
+    dataset: Dataset, rows: list[SampleData], reference: SampleData, channels: set[str]
+) -> tuple[SampleData, ...]:
+    chosen: dict[str, SampleData] = {}
+    for row in rows:
+        sensor = dataset.sensor_of(row)
+        if sensor.modality != "camera" or sensor.channel not in channels:
+            continue
+        other = chosen.get(sensor.channel)
+        if other is None or abs(row.timestamp - reference.timestamp) < abs(other.timestamp - reference.timestamp):
+            chosen[sensor.channel] = row
+    return tuple(chosen[channel] for channel in sorted(chosen))
+
+
+def _check_cameras(plan: Plan) -> None:
+    """Every calibration and every picture that a unit needs, before anything is written."""
+    dataset, seen = plan.dataset, set()
+    for unit in plan.units:
+        for row in unit.sources:
+            place = dataset.sample_data.place(row, "filename")
+            path = dataset.files.resolve(row.filename, place)
+            if plan.options.on_error == "stop":
+                _refuse_missing(path, place)
+            calibration = (row.calibrated_sensor_token, row.width, row.height)
+            if calibration not in seen:
+                seen.add(calibration)
+                try:
+                    size = (row.width, row.height) if row.width and row.height else (1, 1)
+                    camera_of(dataset, row, size)
+                except GeometryError as error:
+                    raise DatasetError(error.what, where=dataset.sample_data.place(row, "width")) from error
+
+
+def _refuse_missing(path: Path, place: str) -> None:
+    try:
+        if path.stat().st_size > 0:
+            return
+        what = "is empty"
+    except OSError as error:
+        what = f"cannot be read: {error.strerror}" if path.exists() else "is missing"
+    raise PictureError(
+        f"the picture {path} {what}.", where=place, hint="Restore it, or leave its sample out with --on-error skip."
+    )
+
+
+def _source_notes(dataset: Dataset, units: list[Unit], channels: set[str], options: Options) -> list[str]:
+    notes = []
+    incomplete = sum(len(unit.sources) < len(channels) for unit in units)
+    if incomplete:
+        notes.append(
+            f"{incomplete} of {len(units)} samples lack some of the cameras {', '.join(sorted(channels))}; "
+            "what nothing else shows stays black."
+        )
+    outside = {row.calibrated_sensor_token for unit in units for row in unit.sources}
+    below = []
+    for row in dataset.calibrated_sensor.rows:
+        if row.token in outside and row.translation[2] <= options.ground_height_m:
+            below.append(dataset.sensor_of_calibration[row.token].channel)
+    if below:
+        notes.append(
+            f"{', '.join(sorted(set(below)))} of the source stand below the assumed ground; check --ground-height."
+        )
+    return notes
+
+
+def _file_stem(name: str) -> str:
+    """A log or scene name as part of a file name."""
+    stem = re.sub(r"[^A-Za-z0-9._+\-]", "-", name)[:120].lstrip(".-")
+    return stem or "scene"
+
+
+def _read_head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(1 << 20)
+    except OSError as error:
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path)) from error

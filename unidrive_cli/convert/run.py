@@ -1,0 +1,128 @@
+"""Carries a plan out: units over workers, then finalise. The one call behind `unidrive convert`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from unidrive_cli.convert.destination import Destination, abandon, begin, check_apart, check_destination
+from unidrive_cli.convert.finalise import Failure, Summary, close, finalise, read_summary
+from unidrive_cli.convert.plan import Plan, Unit
+from unidrive_cli.convert.units import Frame, Job, Receipt, read_receipt, run_unit
+from unidrive_cli.errors import DatasetError, UnidriveError
+
+Progress = Callable[[int, int], None]
+"""Called with (finished units, all units)."""
+
+
+def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress: Progress | None = None) -> Summary:
+    """Converts a dataset as planned; the same call continues a conversion that was stopped.
+
+    Args:
+        destination_root: DST; must not exist, be empty, or hold this very conversion.
+        force: replace a conversion with other options.
+        progress: told after every unit.
+
+    Returns:
+        What was done. A DST that holds this very conversion, finished, is left as it is.
+
+    Raises:
+        UsageError: DST inside SRC, or it holds a conversion with other options.
+        OutputError: DST cannot be written or belongs to somebody else.
+        PictureError, DatasetError: a source picture is broken (with `on_error` stop).
+        CheckError: the verification failed, or no unit succeeded.
+    """
+    started = time.monotonic()
+    check_apart(plan.dataset.root, destination_root)
+    same = check_destination(destination_root, plan.identity, force=force)
+    if same and not force and Destination(destination_root).finished:
+        return read_summary(Destination(destination_root))
+    destination = begin(destination_root, plan.identity, same=same, force=force)
+    try:
+        receipts, failures = _run_units(plan, destination, progress)
+        rendered = time.monotonic()
+        if not receipts:
+            raise DatasetError(f"not one sample could be converted; the first: {failures[0].sentence}")
+        summary = finalise(plan, destination, receipts, failures)
+    except BaseException:
+        abandon(destination)
+        raise
+    summary.seconds = {
+        "units": round(rendered - started, 3),
+        "finalise": round(time.monotonic() - rendered, 3),
+    }
+    close(destination, summary)
+    return summary
+
+
+def _run_units(
+    plan: Plan, destination: Destination, progress: Progress | None
+) -> tuple[dict[str, Receipt], list[Failure]]:
+    receipts: dict[str, Receipt] = {}
+    failures: list[Failure] = []
+    todo: list[Unit] = []
+    for unit in plan.units:
+        receipt = read_receipt(destination.receipts, unit.sample.token)
+        if receipt is None:
+            todo.append(unit)
+        else:
+            receipts[unit.sample.token] = receipt
+    total = len(plan.units)
+    if progress:
+        progress(len(receipts), total)
+    options = plan.options
+    job = Job(
+        destination.root.absolute(),
+        destination.receipts.absolute(),
+        plan.rig,
+        options.depth_limit_m,
+        options.ground_height_m,
+        options.blend,
+        options.quality,
+        options.masks,
+        plan.digest,
+    )
+    for outcome in _outcomes(plan, job, todo):
+        if isinstance(outcome, Failure):
+            failures.append(outcome)
+        else:
+            receipts[outcome.sample_token] = outcome
+        if progress:
+            progress(len(receipts) + len(failures), total)
+    failures.sort(key=lambda failure: failure.sample_token)
+    return receipts, failures
+
+
+def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Failure]:
+    skip = plan.options.on_error == "skip"
+    if plan.options.jobs == 0 or len(units) <= 1:
+        for unit in units:
+            yield _attempt(job, _frame(plan, unit, skip=skip), skip)
+        return
+    import joblib
+
+    parallel = joblib.Parallel(n_jobs=plan.options.jobs, return_as="generator_unordered")
+    frames: Iterator[Frame | Failure] = (_frame(plan, unit, skip=skip) for unit in units)
+    yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+
+
+
+def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
+    try:
+        return plan.frame(unit)
+    except UnidriveError as error:
+        if not skip:
+            raise
+        return Failure(unit.sample.token, str(error))
+
+
+def _attempt(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
+    if isinstance(frame, Failure):
+        return frame
+    try:
+        return run_unit(job, frame)
+    except DatasetError as error:
+        if not skip:
+            raise
+        return Failure(frame.sample_token, str(error))

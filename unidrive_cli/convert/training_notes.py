@@ -1,0 +1,43 @@
+"""TRAINING.md: what a trainer must be told about the virtual rig."""
+
+from __future__ import annotations
+
+from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, consumer_notes
+
+
+def training_notes(plan: Plan) -> str:
+    """Markdown text: names, sizes, and the configuration lines that differ from nuScenes' own."""
+    rig = plan.rig
+    standard = sorted(rig.channels) == sorted(STANDARD_CHANNELS)
+    lines = [
+        f"# Training on this dataset: virtual rig `{rig.name}`",
+        "",
+        "| channel | width | height | horizontal field of view |",
+        "| --- | --- | --- | --- |",
+    ]
+    for camera in rig.cameras:
+        lens = camera.lens
+        lines.append(f"| {camera.channel} | {lens.width_px} | {lens.height_px} | {lens.hfov_deg:.2f} degrees |")
+    lens = rig.cameras[0].lens
+    lines += ["", f"- Number of cameras: {len(rig.cameras)}."]
+    if standard:
+        lines.append("- The six nuScenes channel names: trainers need no change of camera names.")
+    else:
+        names = ", ".join(f"'{channel}'" for channel in rig.channels)
+        lines += [
+            f"- mmdetection3d, BEVDet, PETR, BEVFormer: replace the list of camera types by [{names}],",
+            f"  and `num_cams=6` (or `Ncams=6`) by {len(rig.cameras)}.",
+            f"- LSS: `data_aug_conf['cams'] = [{names}]`, `data_aug_conf['Ncams'] = {len(rig.cameras)}`.",
+        ]
+    if (lens.width_px, lens.height_px) != (1600, 900):
+        lines += [
+            f"- LSS and BEVDet: source size `H={lens.height_px}, W={lens.width_px}` (`src_size`), not 900, 1600.",
+            f"- mmdetection3d's 2D boxes assume 1600x900: its converter needs ({lens.width_px}, {lens.height_px}).",
+        ]
+    lines += [
+        "- Black pixels were seen by no source camera; `masks/` says which (non-zero = seen).",
+        "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
+        f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
+    ]
+    lines += [f"- Note: {note}" for note in consumer_notes(rig, plan.dataset)]
+    return "\n".join(lines) + "\n"

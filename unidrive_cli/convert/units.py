@@ -1,0 +1,176 @@
+"""One unit of work: a sample's pictures read, warped, encoded and written, its receipt last."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import msgspec
+
+from unidrive_cli.convert.boxes import Box2d, seen_boxes
+from unidrive_cli.convert.options import Masks
+from unidrive_cli.errors import OutputError, PictureError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp.pictures import Picture, decode_picture, encode_jpeg
+from unidrive_cli.warp.remap import Blend, Source
+from unidrive_cli.warp.render import Renderer
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What all units of one conversion share.
+
+    Attributes:
+        destination: DST.
+        receipts: folder of the receipts.
+        rig, depth_limit_m, ground_height_m, blend, quality, masks: see `Options`.
+        key: digest of the plan.
+    """
+
+    destination: Path
+    receipts: Path
+    rig: Rig
+    depth_limit_m: float
+    ground_height_m: float
+    blend: Blend
+    quality: int
+    masks: Masks
+    key: str
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSource:
+    """A source picture: file, lens, and pose from the reference ego frame into its camera."""
+
+    path: str
+    lens: Pinhole
+    cam_from_ego: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A unit as its worker needs it.
+
+    Attributes:
+        sample_token: names it.
+        pictures: file name of each virtual picture below DST, in the rig's order.
+        sources: the source pictures.
+        ego_from_box: (n, 4, 4) annotated boxes in the reference ego frame, in table order.
+        box_sizes_m: (n, 3) width, length, height.
+    """
+
+    sample_token: str
+    pictures: tuple[str, ...]
+    sources: tuple[FrameSource, ...]
+    ego_from_box: Float
+    box_sizes_m: Float
+
+
+class Receipt(msgspec.Struct, frozen=True):
+    """What a finished unit leaves behind.
+
+    Attributes:
+        sample_token: the unit.
+        covered: share of covered pixels per virtual camera.
+        picture_bytes: size of each picture's file.
+        shown: per box, the share of what the source cameras see of it that the virtual rig still
+            shows, 0 to 1; 0 where no virtual pixel shows it.
+        boxes: 2D boxes.
+    """
+
+    sample_token: str
+    covered: list[float]
+    picture_bytes: list[int]
+    shown: list[float]
+    boxes: list[Box2d]
+
+
+def receipt_path(receipts: Path, sample_token: str) -> Path:
+    """The receipt of a sample; the name is hashed because tokens are not to be trusted as file names."""
+    return receipts / f"{hashlib.sha256(sample_token.encode()).hexdigest()[:32]}.json"
+
+
+def read_receipt(receipts: Path, sample_token: str) -> Receipt | None:
+    """The receipt of a sample, or None where it is missing or broken."""
+    try:
+        return msgspec.json.decode(receipt_path(receipts, sample_token).read_bytes(), type=Receipt)
+    except (OSError, msgspec.DecodeError):
+        return None
+
+
+def run_unit(job: Job, frame: Frame) -> Receipt:
+    """Does one unit of work.
+
+    Raises:
+        PictureError: a source picture is missing, broken or of another size.
+        OutputError: a file cannot be written.
+    """
+    renderer = _renderer(job.key, job)
+    pictures = [read_picture(source) for source in frame.sources]
+    tables = renderer.tables([Source(source.lens, source.cam_from_ego) for source in frame.sources])
+    sizes = []
+    for view, name in zip(tables, frame.pictures, strict=True):
+        data = encode_jpeg(view.render(pictures), job.quality)
+        sizes.append(len(data))
+        write_file(job.destination / name, data)
+        if job.masks == "frame":
+            write_file(job.destination / mask_name(name), view.mask_png)
+    shown, boxes = seen_boxes(
+        frame.ego_from_box,
+        frame.box_sizes_m,
+        [(source.lens, source.cam_from_ego) for source in frame.sources],
+        [(camera, view.mask) for camera, view in zip(job.rig.cameras, tables, strict=True)],
+    )
+    receipt = Receipt(frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, boxes)
+    write_file(receipt_path(job.receipts, frame.sample_token), msgspec.json.encode(receipt))
+    return receipt
+
+
+def mask_name(picture_name: str) -> str:
+    """Where the mask of a virtual picture goes: masks/<CHANNEL>/<the picture's name>.png."""
+    path = Path(picture_name)
+    return f"masks/{path.parent.name}/{path.stem}.png"
+
+
+def read_picture(source: FrameSource) -> Picture:
+    """The decoded picture of a source.
+
+    Raises:
+        PictureError: missing, broken, or of another size than its lens.
+    """
+    try:
+        data = Path(source.path).read_bytes()
+    except OSError as error:
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=source.path) from error
+    return decode_picture(data, (source.lens.width_px, source.lens.height_px), source.path)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Writes a file under a temporary name and renames it, so that it is whole or not there.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OutputError(
+            f"cannot be written: {error.strerror}.", where=str(path), hint="Free the disk and run the same command."
+        ) from error
+
+
+@functools.lru_cache(maxsize=1)
+def _renderer(key: str, job: Job) -> Renderer:
+    """One renderer per worker process: its tables outlive a unit."""
+    cv2.setNumThreads(1)
+    return Renderer(job.rig, job.depth_limit_m, job.ground_height_m, job.blend)

@@ -1,0 +1,104 @@
+"""The final verification: the output is opened again before it may look whole."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import random
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from unidrive_cli.check.references import check_references
+from unidrive_cli.convert.destination import Destination
+from unidrive_cli.convert.plan import Plan
+from unidrive_cli.errors import CheckError, UnidriveError
+from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.schema import SampleData
+from unidrive_cli.warp.pictures import decode_picture
+
+SAMPLED_PICTURES = 60
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What the verification looked at."""
+
+    tables: int
+    pictures_present: int
+    pictures_decoded: int
+    boxes_projected: int
+
+
+def verify(plan: Plan, destination: Destination, staged_tables: Path) -> Verified:
+    """Checks the finished output: our own rules, the pictures, and nuscenes-devkit.
+
+    The tables are still staged; a folder of links shows the dataset as it will be.
+
+    Args:
+        staged_tables: folder with the output's tables.
+
+    Raises:
+        CheckError: something is wrong; the sentence says what.
+    """
+    root = destination.work / "check"
+    shutil.rmtree(root, ignore_errors=True)
+    root.mkdir()
+    for entry in destination.root.iterdir():
+        if entry.name not in (destination.work.name, plan.dataset.version):
+            (root / entry.name).symlink_to(entry.absolute())
+    (root / plan.dataset.version).symlink_to(staged_tables.absolute())
+    try:
+        dataset = open_dataset(root, plan.dataset.version)
+        findings = list(check_references(dataset))
+    except UnidriveError as error:
+        raise CheckError(f"the tables that were written cannot be read again: {error}") from error
+    if findings:
+        raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
+    present, decoded = _check_pictures(plan, dataset, root)
+    boxes = _check_devkit(root, plan.dataset.version, len(dataset.sample_annotation.rows))
+    shutil.rmtree(root)
+    return Verified(len(list(staged_tables.glob("*.json"))), present, decoded, boxes)
+
+
+def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:
+    rows = [row for row in dataset.sample_data.rows if dataset.sensor_of(row).modality == "camera"]
+    for row in rows:
+        path = root / row.filename
+        if not path.is_file() or not path.stat().st_size:
+            raise CheckError("the picture was not written.", where=f"the output, {row.filename}")
+    sampled = rows
+    if plan.options.verify == "sample" and len(rows) > SAMPLED_PICTURES:
+        sampled = random.Random(plan.digest).sample(rows, SAMPLED_PICTURES)
+    for row in sampled:
+        _decode(root, row)
+    return len(rows), len(sampled)
+
+
+def _decode(root: Path, row: SampleData) -> None:
+    try:
+        decode_picture((root / row.filename).read_bytes(), (row.width or 0, row.height or 0), row.filename)
+    except UnidriveError as error:
+        raise CheckError(f"a picture that was written is broken: {error}", where="the output") from error
+
+
+def _check_devkit(root: Path, version: str, annotations: int) -> int:
+    """Opens the dataset with nuscenes-devkit and lets it project the boxes of a few samples."""
+    from nuscenes.nuscenes import NuScenes
+
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
+            if len(nusc.sample_annotation) != annotations:
+                raise CheckError(f"nuscenes-devkit reads {len(nusc.sample_annotation)} annotations, not {annotations}.")
+            boxes = 0
+            for sample in nusc.sample[:: max(len(nusc.sample) // 5, 1)]:
+                for channel, token in sample["data"].items():
+                    if nusc.get("sample_data", token)["sensor_modality"] == "camera":
+                        path, seen, _ = nusc.get_sample_data(token)
+                        boxes += len(seen)
+                        if not Path(path).is_file():
+                            raise CheckError(f"nuscenes-devkit looks for {path}, which is not there ({channel}).")
+    except (AssertionError, KeyError, IndexError, ValueError, OSError) as error:
+        raise CheckError(f"nuscenes-devkit does not open the output: {type(error).__name__}: {error}.") from error
+    return boxes

@@ -1,0 +1,85 @@
+"""What a person wants to know of a rig before using it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from unidrive_cli.geometry.circle import STEP_DEG, arcs_deg, horizon_seen
+from unidrive_cli.rig.model import Rig
+
+
+@dataclass(frozen=True)
+class CameraFacts:
+    """One camera in the units of the rig file."""
+
+    channel: str
+    width_px: int
+    height_px: int
+    hfov_deg: float
+    vfov_deg: float
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    position_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RigFacts:
+    """A rig's cameras and what they see of the far horizon.
+
+    Attributes:
+        covered_deg: how much of the circle at least one camera sees.
+        overlaps_deg: (channel, channel, degrees) of cameras that see the same part.
+        blind_arcs_deg: (start, end), counter-clockwise; 0 is straight ahead, 90 is left.
+    """
+
+    name: str
+    description: str
+    digest: str
+    depth_limit_m: float | None
+    ground_height_m: float | None
+    cameras: list[CameraFacts]
+    covered_deg: float
+    overlaps_deg: list[tuple[str, str, float]]
+    blind_arcs_deg: list[tuple[float, float]]
+
+
+def inspect_rig(rig: Rig) -> RigFacts:
+    """The facts of a rig."""
+    cameras = []
+    for camera in rig.cameras:
+        lens = camera.lens
+        angles = (round(angle, 3) + 0.0 for angle in camera.yaw_pitch_roll_deg)
+        x, y, z = (round(float(value), 4) + 0.0 for value in camera.centre_ego)
+        cameras.append(
+            CameraFacts(
+                camera.channel,
+                lens.width_px,
+                lens.height_px,
+                round(lens.hfov_deg, 3),
+                round(lens.vfov_deg, 3),
+                *angles,
+                (x, y, z),
+            )
+        )
+    seen = horizon_seen([(camera.lens, camera.ego_from_cam) for camera in rig.cameras])
+    overlaps = []
+    for first, second in combinations(range(len(rig.cameras)), 2):
+        degrees = round(STEP_DEG * int(np.count_nonzero(seen[first] & seen[second])), 1)
+        if degrees:
+            overlaps.append((rig.channels[first], rig.channels[second], degrees))
+    anything = seen.any(axis=0)
+    return RigFacts(
+        rig.name,
+        rig.description,
+        rig.digest,
+        rig.depth_limit_m,
+        rig.ground_height_m,
+        cameras,
+        round(STEP_DEG * int(np.count_nonzero(anything)), 1),
+        overlaps,
+        arcs_deg(~anything),
+    )
