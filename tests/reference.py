@@ -105,9 +105,7 @@ def load_sample(root: Path, version: str, sample_token: str) -> dict[str, Any]:
         elif sensor["modality"] == "camera":
             item["K"] = np.array(calibration["camera_intrinsic"], dtype=np.float64)
             item["width"], item["height"] = row["width"], row["height"]
-            item["ego_from_cam"] = pose(
-                quaternion_matrix(calibration["rotation"]), calibration["translation"]
-            )
+            item["ego_from_cam"] = pose(quaternion_matrix(calibration["rotation"]), calibration["translation"])
             cameras.append(item)
 
     def nearness(item: dict[str, Any]) -> tuple[float, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import json
 import os
 import sys
@@ -13,47 +12,22 @@ import typer
 
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, guarded, human_bytes, plural
+from unidrive_cli.convert.options import (
+    DEFAULT_DEPTH_LIMIT_M,
+    DEFAULT_GROUND_HEIGHT_M,
+    Link,
+    Masks,
+    OnError,
+    Options,
+    UnseenBoxes,
+    VerifyLevel,
+    VisibilityRule,
+)
+from unidrive_cli.warp.choices import Blend
 
 if TYPE_CHECKING:
     from unidrive_cli.convert.finalise import Summary
     from unidrive_cli.convert.plan import Plan
-
-
-class Blend(str, enum.Enum):
-    angular = "angular"
-    nearest = "nearest"
-
-
-class Masks(str, enum.Enum):
-    frame = "frame"
-    camera = "camera"
-    none = "none"
-
-
-class Visibility(str, enum.Enum):
-    lower = "lower"
-    keep = "keep"
-
-
-class UnseenBoxes(str, enum.Enum):
-    keep = "keep"
-    drop = "drop"
-
-
-class Link(str, enum.Enum):
-    hardlink = "hardlink"
-    symlink = "symlink"
-    copy = "copy"
-
-
-class OnError(str, enum.Enum):
-    stop = "stop"
-    skip = "skip"
-
-
-class Verify(str, enum.Enum):
-    sample = "sample"
-    full = "full"
 
 
 def _option(default: Any, *names: str, help: str, **more: Any) -> Any:
@@ -66,35 +40,45 @@ def convert_command(
     src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
     dst: Path = typer.Argument(..., metavar="DST", help="Where the converted dataset goes."),
     rig: str = _option(..., "--rig", help="Virtual rig: a rig file, a shipped rig's name, or a dataset folder."),
-    version: str | None = _option(None, "--version", help="Version folder, where SRC has several.", show_default=False),
+    version: str | None = _option(
+        None, "--version", help="Version folder, where SRC has several.", show_default=False
+    ),
     scene: list[str] = SCENES,
-    camera: list[str] = _option([], "--camera", help="Use only this source camera (repeatable).", show_default=False),
+    camera: list[str] = _option(
+        [], "--camera", help="Use only this source camera (repeatable).", show_default=False
+    ),
     depth_limit: float | None = _option(
-        None, "--depth-limit", help="D0: distance in metres of what is not ground. [default: the rig's, or 50]"
+        None,
+        "--depth-limit",
+        help="D0: distance in metres of what is not ground. [default: the rig's, or 50]",
     ),
     ground_height: float | None = _option(
-        None, "--ground-height", help="Height in metres of the ground in the ego frame. [default: the rig's, or 0]"
+        None,
+        "--ground-height",
+        help="Height in metres of the ground in the ego frame. [default: the rig's, or 0]",
     ),
-    blend: Blend = _option(Blend.angular, "--blend", help="How overlapping source pictures are joined."),
+    blend: Blend = _option("angular", "--blend", help="How overlapping source pictures are joined."),
     ego_motion: bool = _option(
         True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
     ),
     quality: int = _option(95, "--quality", help="JPEG quality, 1 to 100."),
-    masks: Masks = _option(Masks.frame, "--masks", help="Coverage masks: one per picture, one per camera, or none."),
-    visibility: Visibility = _option(
-        Visibility.lower, "--visibility", help="Lower a box's visibility where the virtual rig shows less of it."
+    masks: Masks = _option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none."),
+    visibility: VisibilityRule = _option(
+        "lower",
+        "--visibility",
+        help="Lower a box's visibility where the virtual rig shows less of it.",
     ),
-    unseen_boxes: UnseenBoxes = _option(
-        UnseenBoxes.keep, "--unseen-boxes", help="Boxes that no virtual pixel shows."
-    ),
+    unseen_boxes: UnseenBoxes = _option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows."),
     link: Link = _option(
-        Link.hardlink, "--link", help="How unchanged files come into DST; links share SRC's data: treat as read-only."
+        "hardlink",
+        "--link",
+        help="How unchanged files come into DST; links share SRC's data: treat as read-only.",
     ),
     jobs: int | None = _option(
         None, "--jobs", "-j", help="Worker processes; 0 works in this process. [default: one per core]"
     ),
-    on_error: OnError = _option(OnError.stop, "--on-error", help="At a broken picture: stop, or leave its sample out."),
-    verify: Verify = _option(Verify.sample, "--verify", help="Decode a sample of the pictures at the end, or all."),
+    on_error: OnError = _option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out."),
+    verify: VerifyLevel = _option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
     dry_run: bool = _option(False, "--dry-run", help="Say what would be done; write nothing."),
     force: bool = _option(False, "--force", help="Replace a DST that holds another conversion of ours."),
     as_json: bool = JSON,
@@ -103,7 +87,6 @@ def convert_command(
 ) -> None:
     """Render a nuScenes-format dataset through a virtual rig, annotations included."""
     from unidrive_cli.convert.destination import check_apart, check_destination, free_bytes
-    from unidrive_cli.convert.options import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIGHT_M, Options
     from unidrive_cli.convert.plan import make_plan
     from unidrive_cli.convert.run import convert
     from unidrive_cli.tables.dataset import open_dataset
@@ -113,17 +96,17 @@ def convert_command(
     options = Options(
         depth_limit_m=_first(depth_limit, virtual_rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
         ground_height_m=_first(ground_height, virtual_rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
-        blend=blend.value,
+        blend=blend,
         ego_motion=ego_motion,
         quality=quality,
         scenes=tuple(sorted(set(scene))),
         cameras=tuple(sorted(set(camera))),
-        masks=masks.value,
-        visibility=visibility.value,
-        unseen_boxes=unseen_boxes.value,
-        link=link.value,
-        on_error=on_error.value,
-        verify=verify.value,
+        masks=masks,
+        visibility=visibility,
+        unseen_boxes=unseen_boxes,
+        link=link,
+        on_error=on_error,
+        verify=verify,
         jobs=(os.cpu_count() or 1) if jobs is None else jobs,
     )
     check_apart(src, dst)
@@ -152,12 +135,15 @@ def _first(*values: float | None) -> float:
 
 def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
     estimate = plan.estimated_bytes()
+    scenes = len({unit.scene.token for unit in plan.units})
+    sources = sum(len(unit.sources) for unit in plan.units)
+    annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
     document = {
         "samples": len(plan.units),
-        "scenes": len({unit.scene.token for unit in plan.units}),
+        "scenes": scenes,
         "pictures": plan.picture_count,
-        "source_pictures": sum(len(unit.sources) for unit in plan.units),
-        "annotations": sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units),
+        "source_pictures": sources,
+        "annotations": annotations,
         "estimated_bytes": estimate,
         "free_bytes": free,
         "rig": plan.rig.name,
@@ -168,12 +154,12 @@ def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
         return
     typer.echo(
         f"{plan.dataset.folder} -> {dst} through {plan.rig.name}: {plural(len(plan.units), 'sample')} in "
-        f"{plural(document['scenes'], 'scene')}"
+        f"{plural(scenes, 'scene')}"
     )
-    typer.echo(f"reads  {plural(document['source_pictures'], 'source picture')}")
+    typer.echo(f"reads  {plural(sources, 'source picture')}")
     typer.echo(
         f"writes {plural(plan.picture_count, 'picture')}, about {human_bytes(estimate)} "
-        f"({human_bytes(free)} free); {plural(document['annotations'], 'annotation')}"
+        f"({human_bytes(free)} free); {plural(annotations, 'annotation')}"
     )
     for note in plan.notes:
         typer.echo(f"note: {note}")
@@ -189,7 +175,7 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
     typer.echo(
         f"{dst}: {plural(counts.samples, 'sample')}, {plural(pictures, 'picture')} "
         f"({human_bytes(summary.picture_bytes)}), {plural(counts.annotations, 'annotation')}, "
-        f"{plural(counts.boxes_2d, '2D boxes')[:-2] if counts.boxes_2d == 1 else f'{counts.boxes_2d:,} 2D boxes'}"
+        f"{counts.boxes_2d:,} 2D {'box' if counts.boxes_2d == 1 else 'boxes'}"
     )
     covered = ", ".join(f"{channel} {share:.0%}" for channel, share in summary.covered.items())
     typer.echo(f"covered: {covered}")

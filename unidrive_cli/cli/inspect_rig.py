@@ -62,8 +62,10 @@ def _say(facts: RigFacts) -> None:
     ]
     widths = [max(len(row[column]) for row in (header, *rows)) for column in range(len(header))]
     for row in (header, *rows):
-        first, *rest = (cell.ljust(width) if place < 2 else cell.rjust(width) for place, (cell, width) in
-                        enumerate(zip(row, widths, strict=True)))
+        first, *rest = (
+            cell.ljust(width) if place < 2 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
         typer.echo("  ".join((first, *rest)))
     typer.echo(f"\nsees {facts.covered_deg:g} of 360 degrees of the horizon (0 is ahead, 90 is left)")
     for first, second, degrees in facts.overlaps_deg:

@@ -107,5 +107,5 @@ def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:
         return bool(part.any())
     inside = np.zeros(part.shape, dtype=np.uint8)
     polygon = np.rint(shapely.get_coordinates(outline) - [left, top]).astype(np.int32)
-    cv2.fillConvexPoly(inside, polygon, 1)
+    cv2.fillConvexPoly(inside, polygon, (1,))
     return bool((inside & part).any())

@@ -23,13 +23,13 @@ from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt, write_file
 from unidrive_cli.convert.verify import Verified, verify
 from unidrive_cli.errors import OutputError
-from unidrive_cli.geometry.poses import inverse
+from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
+from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.table import write_rows
 from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
-
 
 _KEPT = ("covered", "picture_bytes", "files_carried", "files_missing", "notes")
 
@@ -74,9 +74,7 @@ class Summary:
         return asdict(self)
 
 
-def finalise(
-    plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure]
-) -> Summary:
+def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure]) -> Summary:
     """Turns finished units into a dataset: nothing looks whole before everything is verified.
 
     Raises:
@@ -158,13 +156,19 @@ def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[st
             shutil.copyfile(source, folder / source.name)
         else:
             write_rows(folder / source.name, map(msgspec.json.encode, kept))
-            notes.append(f"{source.name}: {left} rows belong to pictures or samples that are gone, and left with them.")
+            notes.append(
+                f"{source.name}: {left} rows belong to pictures or samples that are gone, and left with them."
+            )
         kept_rows.extend(kept or [])
     return kept_rows
 
 
 def _carry_files(
-    plan: Plan, destination: Destination, tables: OutputTables, extra_rows: list[dict[str, Any]], notes: list[str]
+    plan: Plan,
+    destination: Destination,
+    tables: OutputTables,
+    extra_rows: list[dict[str, Any]],
+    notes: list[str],
 ) -> tuple[int, int]:
     carried = missing = 0
     example = ""
@@ -235,13 +239,24 @@ def _provenance(plan: Plan, summary: Summary) -> bytes:
             "rig": {
                 "name": plan.rig.name,
                 "digest": plan.rig.digest,
-                "cameras": [camera.numbers() for camera in plan.rig.cameras],
+                "cameras": {camera.channel: _camera(camera) for camera in plan.rig.cameras},
             },
             "counts": asdict(summary.counts),
             "failures": [asdict(failure) for failure in summary.failures],
             **{name: getattr(summary, name) for name in _KEPT},
         }
     )
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    lens = camera.lens
+    return {
+        "width": lens.width_px,
+        "height": lens.height_px,
+        "intrinsics": [lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px],
+        "position": camera.centre_ego.tolist(),
+        "rotation": quaternion_from_rotation(camera.ego_from_cam[:3, :3]).tolist(),
+    }
 
 
 def _json(document: dict[str, Any]) -> bytes:

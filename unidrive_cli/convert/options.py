@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from unidrive_cli.errors import UsageError
-from unidrive_cli.warp.remap import Blend
+from unidrive_cli.warp.choices import Blend
 
 DEFAULT_DEPTH_LIMIT_M = 50.0
 DEFAULT_GROUND_HEIGHT_M = 0.0
@@ -14,6 +14,9 @@ DEFAULT_GROUND_HEIGHT_M = 0.0
 Masks = Literal["frame", "camera", "none"]
 Link = Literal["hardlink", "symlink", "copy"]
 VerifyLevel = Literal["sample", "full"]
+VisibilityRule = Literal["lower", "keep"]
+UnseenBoxes = Literal["keep", "drop"]
+OnError = Literal["stop", "skip"]
 
 
 @dataclass(frozen=True)
@@ -45,10 +48,10 @@ class Options:
     scenes: tuple[str, ...] = ()
     cameras: tuple[str, ...] = ()
     masks: Masks = "frame"
-    visibility: Literal["lower", "keep"] = "lower"
-    unseen_boxes: Literal["keep", "drop"] = "keep"
+    visibility: VisibilityRule = "lower"
+    unseen_boxes: UnseenBoxes = "keep"
     link: Link = "hardlink"
-    on_error: Literal["stop", "skip"] = "stop"
+    on_error: OnError = "stop"
     verify: VerifyLevel = "sample"
     jobs: int = 0
 

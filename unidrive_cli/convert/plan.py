@@ -40,7 +40,8 @@ STANDARD_CHANNELS = (
     "CAM_BACK_LEFT",
     "CAM_BACK_RIGHT",
 )
-_JPEG_BYTES_PER_PIXEL = ((50, 0.06), (80, 0.11), (90, 0.145), (95, 0.21), (100, 0.55))
+_JPEG_QUALITIES = (50, 80, 90, 95, 100)
+_JPEG_BYTES_PER_PIXEL = (0.06, 0.11, 0.145, 0.21, 0.55)
 _MASK_BYTES = 4_000
 _ROW_BYTES = 700
 
@@ -115,10 +116,7 @@ class Plan:
     def _source(self, row: SampleData, global_from_ego: Float) -> FrameSource:
         where = self.dataset.sample_data.place(row, "filename")
         path = self.dataset.files.resolve(row.filename, where)
-        if row.width and row.height:
-            size = row.width, row.height
-        else:
-            size = picture_size(_read_head(path), str(path))
+        size = (row.width, row.height) if row.width and row.height else picture_size(_read_head(path), str(path))
         camera = camera_of(self.dataset, row, size)
         cam_from_ego = inverse(camera.ego_from_cam)
         if self.options.ego_motion:
@@ -139,7 +137,7 @@ class Plan:
     def estimated_bytes(self) -> int:
         """Disk that pictures, masks and tables will take, roughly; linked files not counted."""
         pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in self.rig.cameras)
-        per_pixel = float(np.interp(self.options.quality, *zip(*_JPEG_BYTES_PER_PIXEL, strict=True)))
+        per_pixel = float(np.interp(self.options.quality, _JPEG_QUALITIES, _JPEG_BYTES_PER_PIXEL))
         masks = _MASK_BYTES * self.picture_count if self.options.masks == "frame" else 0
         tables = sum(len(text) for text in self.dataset.sample_annotation.raw) + _ROW_BYTES * self.picture_count
         return int(pixels * per_pixel) * len(self.units) + masks + tables
@@ -287,7 +285,9 @@ def _refuse_missing(path: Path, place: str) -> None:
     except OSError as error:
         what = f"cannot be read: {error.strerror}" if path.exists() else "is missing"
     raise PictureError(
-        f"the picture {path} {what}.", where=place, hint="Restore it, or leave its sample out with --on-error skip."
+        f"the picture {path} {what}.",
+        where=place,
+        hint="Restore it, or leave its sample out with --on-error skip.",
     )
 
 

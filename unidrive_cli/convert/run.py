@@ -107,7 +107,6 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
     yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
 
 
-
 def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
     try:
         return plan.frame(unit)

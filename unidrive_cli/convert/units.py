@@ -17,8 +17,9 @@ from unidrive_cli.errors import OutputError, PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, decode_picture, encode_jpeg
-from unidrive_cli.warp.remap import Blend, Source
+from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
 
 
@@ -165,7 +166,9 @@ def write_file(path: Path, data: bytes) -> None:
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise OutputError(
-            f"cannot be written: {error.strerror}.", where=str(path), hint="Free the disk and run the same command."
+            f"cannot be written: {error.strerror}.",
+            where=str(path),
+            hint="Free the disk and run the same command.",
         ) from error
 
 

@@ -90,7 +90,9 @@ def _check_devkit(root: Path, version: str, annotations: int) -> int:
         with contextlib.redirect_stdout(io.StringIO()):
             nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
             if len(nusc.sample_annotation) != annotations:
-                raise CheckError(f"nuscenes-devkit reads {len(nusc.sample_annotation)} annotations, not {annotations}.")
+                raise CheckError(
+                    f"nuscenes-devkit reads {len(nusc.sample_annotation)} annotations, not {annotations}."
+                )
             boxes = 0
             for sample in nusc.sample[:: max(len(nusc.sample) // 5, 1)]:
                 for channel, token in sample["data"].items():

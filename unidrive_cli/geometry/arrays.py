@@ -28,7 +28,9 @@ def finite_array(value: Any, shape: tuple[int | None, ...], name: str) -> Float:
     )
     if not fits:
         wanted = "x".join("n" if want is None else str(want) for want in shape)
-        raise GeometryError(f"{name} must have shape {wanted}, got {'x'.join(map(str, array.shape)) or 'one number'}.")
+        raise GeometryError(
+            f"{name} must have shape {wanted}, got {'x'.join(map(str, array.shape)) or 'one number'}."
+        )
     if not np.isfinite(array).all():
         raise GeometryError(f"{name} must be finite numbers, got {array.tolist()!r:.120}.")
     return array

@@ -32,13 +32,15 @@ def grid(global_from_box: Float, size_wlh_m: Float, unit_points: Float) -> Float
     half_xyz = size_wlh_m[..., [1, 0, 2]] / 2
     local = unit_points * half_xyz[..., None, :]
     placed: Float = np.einsum("...ij,...nj->...ni", global_from_box[..., :3, :3], local)
-    return placed + global_from_box[..., None, :3, 3]
+    placed += global_from_box[..., None, :3, 3]
+    return placed
 
 
 def volume_grid(steps: int) -> Float:
     """(steps^3, 3) regular points of [-1, 1]^3, borders included."""
     axis = np.linspace(-1.0, 1.0, steps)
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    points: Float = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points
 
 
 def clipped_outline(corners_cam: Float, near_m: float) -> Float:
@@ -48,4 +50,5 @@ def clipped_outline(corners_cam: Float, near_m: float) -> Float:
         a, b = corners_cam[start], corners_cam[end]
         if (a[2] < near_m) != (b[2] < near_m):
             points.append(a + (b - a) * ((near_m - a[2]) / (b[2] - a[2])))
-    return np.array(points).reshape(-1, 3)
+    outline: Float = np.array(points, dtype=np.float64).reshape(-1, 3)
+    return outline

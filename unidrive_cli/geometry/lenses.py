@@ -20,8 +20,11 @@ MAX_SIDE_PX = 32766
 class Lens(Protocol):
     """What the warp, the coverage and the error need of a lens with its picture size."""
 
-    width_px: int
-    height_px: int
+    @property
+    def width_px(self) -> int: ...
+
+    @property
+    def height_px(self) -> int: ...
 
     def project(self, points_cam: Float) -> tuple[Float, Bool]:
         """Pixels (..., 2) of camera-frame points (..., 3), and where they are inside the picture."""
@@ -56,7 +59,9 @@ class Pinhole:
             raise GeometryError(f"focal lengths must be positive, got fx {self.fx_px:g}, fy {self.fy_px:g}.")
         for name, side in (("width", self.width_px), ("height", self.height_px)):
             if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MAX_SIDE_PX:
-                raise GeometryError(f"{name} must be a whole number of pixels from 1 to {MAX_SIDE_PX}, got {side!r}.")
+                raise GeometryError(
+                    f"{name} must be a whole number of pixels from 1 to {MAX_SIDE_PX}, got {side!r}."
+                )
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, width_px: int, height_px: int) -> Pinhole:
@@ -119,7 +124,8 @@ class Pinhole:
         x = (pixels[..., 0] - self.cx_px) / self.fx_px
         y = (pixels[..., 1] - self.cy_px) / self.fy_px
         rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        unit: Float = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return unit
 
     def border_sine(self, points_cam: Float) -> Float:
         distance = np.linalg.norm(points_cam, axis=-1)
@@ -128,13 +134,14 @@ class Pinhole:
         return sine
 
     def border_normals(self) -> Float:
-        """(4, 3) unit normals, pointing inwards, of the planes through the left, right, top and bottom border."""
+        """(4, 3) unit normals, pointing inwards, of the left, right, top and bottom border planes."""
         left, right = self.cx_px + 0.5, self.width_px - 0.5 - self.cx_px
         top, bottom = self.cy_px + 0.5, self.height_px - 0.5 - self.cy_px
         normals = np.array(
             [[self.fx_px, 0, left], [-self.fx_px, 0, right], [0, self.fy_px, top], [0, -self.fy_px, bottom]]
         )
-        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        unit: Float = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return unit
 
 
 def _field_deg(focal_px: float, centre_px: float, side_px: int) -> float:

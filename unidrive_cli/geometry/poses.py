@@ -45,11 +45,11 @@ def check_pose(matrix: Any, name: str) -> Float:
     Raises:
         GeometryError: not 4x4, not finite, last row not 0 0 0 1, or not a rotation.
     """
-    matrix = finite_array(matrix, (4, 4), name)
-    if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
-        raise GeometryError(f"{name} must end with the row 0 0 0 1, got {matrix[3].tolist()}.")
-    check_rotation(matrix[:3, :3])
-    return matrix
+    checked = finite_array(matrix, (4, 4), name)
+    if not np.array_equal(checked[3], [0.0, 0.0, 0.0, 1.0]):
+        raise GeometryError(f"{name} must end with the row 0 0 0 1, got {checked[3].tolist()}.")
+    check_rotation(checked[:3, :3])
+    return checked
 
 
 def inverse(a_from_b: Float) -> Float:
@@ -76,7 +76,8 @@ def relative(global_from_a: Float, global_from_b: Float) -> Float:
 
 def transform(a_from_b: Float, points_b: Float) -> Float:
     """Points (..., 3) of frame b in frame a, metres."""
-    return points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+    points_a: Float = points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+    return points_a
 
 
 def rotation_from_quaternion(quaternion: Any, *, unit_tolerance: float | None = None) -> Float:
@@ -125,8 +126,8 @@ def quaternion_from_rotation(rotation: Float) -> Float:
             [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3]],
         ]
     )
-    quaternion = cross[int(np.argmax(squares))]
-    quaternion = quaternion / np.linalg.norm(quaternion)
+    row = cross[int(np.argmax(squares))]
+    quaternion: Float = row / np.linalg.norm(row)
     return -quaternion if quaternion[0] < 0 else quaternion
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from unidrive_cli.errors import GeometryError
-from unidrive_cli.geometry.arrays import Float, finite_array, read_only
+from unidrive_cli.geometry.arrays import Bool, Float, finite_array, read_only
 
 
 def _up() -> Float:
@@ -70,12 +70,10 @@ class HalfBall:
             )
         object.__setattr__(self, "centre_ego", read_only(centre))
 
-    def contains(self, points_ego: Float, *, tolerance_m: float = 1e-9) -> np.bool_ | np.ndarray:
+    def contains(self, points_ego: Float, *, tolerance_m: float = 1e-9) -> Bool:
         """Where points (..., 3) lie in the closed region, to `tolerance_m`."""
         distance = np.linalg.norm(points_ego - self.centre_ego, axis=-1)
-        inside: np.ndarray = (distance <= self.radius_m + tolerance_m) & (
-            self.ground.height_m(points_ego) >= -tolerance_m
-        )
+        inside: Bool = (distance <= self.radius_m + tolerance_m) & (self.ground.height_m(points_ego) >= -tolerance_m)
         return inside
 
     def exit_distance_m(self, origins_ego: Float, directions_ego: Float) -> Float:

@@ -52,7 +52,7 @@ def inspect_rig(rig: Rig) -> RigFacts:
     cameras = []
     for camera in rig.cameras:
         lens = camera.lens
-        angles = (round(angle, 3) + 0.0 for angle in camera.yaw_pitch_roll_deg)
+        yaw, pitch, roll = (round(angle, 3) + 0.0 for angle in camera.yaw_pitch_roll_deg)
         x, y, z = (round(float(value), 4) + 0.0 for value in camera.centre_ego)
         cameras.append(
             CameraFacts(
@@ -61,7 +61,9 @@ def inspect_rig(rig: Rig) -> RigFacts:
                 lens.height_px,
                 round(lens.hfov_deg, 3),
                 round(lens.vfov_deg, 3),
-                *angles,
+                yaw,
+                pitch,
+                roll,
                 (x, y, z),
             )
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import re
@@ -23,7 +24,15 @@ MAX_FILE_BYTES = 1_000_000
 MAX_CAMERAS = 64
 MAX_PICTURE_PIXELS = 64_000_000
 _CHANNEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
-_RIG_KEYS = ("name", "description", "cameras", "origin", "rear_axle_to_centre", "depth_limit", "ground_height")
+_RIG_KEYS = (
+    "name",
+    "description",
+    "cameras",
+    "origin",
+    "rear_axle_to_centre",
+    "depth_limit",
+    "ground_height",
+)
 _CAMERA_KEYS = (
     "width",
     "height",
@@ -72,7 +81,9 @@ def parse_rig(text: str, source: str) -> Rig:
     if not isinstance(entries, CommentedMap) or not entries:
         raise _error(document, "cameras", source, "must map channel names to cameras, and hold at least one.")
     if len(entries) > MAX_CAMERAS:
-        raise _error(document, "cameras", source, f"holds {len(entries)} cameras; at most {MAX_CAMERAS} are accepted.")
+        raise _error(
+            document, "cameras", source, f"holds {len(entries)} cameras; at most {MAX_CAMERAS} are accepted."
+        )
     ground = GroundPlane(ground_height_m or 0.0)
     cameras = tuple(_camera(entries, channel, offset_x_m, ground, source) for channel in entries)
     return Rig(
@@ -95,7 +106,9 @@ def _read_text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise RigError(f"is not UTF-8 text (byte {error.start}); a YAML rig file was expected.", where=str(path)) from error
+        raise RigError(
+            f"is not UTF-8 text (byte {error.start}); a YAML rig file was expected.", where=str(path)
+        ) from error
 
 
 def _parse_yaml(text: str, source: str) -> Any:
@@ -117,7 +130,10 @@ def _parse_yaml(text: str, source: str) -> Any:
 def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: GroundPlane, source: str) -> Camera:
     if not isinstance(channel, str) or not _CHANNEL.fullmatch(channel):
         raise _error(
-            entries, channel, source, "is not a channel name: letters, digits, _ and - were expected, 64 at most."
+            entries,
+            channel,
+            source,
+            "is not a channel name: letters, digits, _ and - were expected, 64 at most.",
         )
     where = f"{source}, camera {channel}"
     entry = entries[channel]
@@ -126,7 +142,10 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
     _check_keys(entry, _CAMERA_KEYS, ("width", "height", "position"), where)
     if "distortion" in entry:
         raise _error(
-            entry, "distortion", where, "is not supported by this version: cameras of a rig file are pinholes."
+            entry,
+            "distortion",
+            where,
+            "is not supported by this version: cameras of a rig file are pinholes.",
         )
     try:
         lens = _lens(entry, where)
@@ -144,7 +163,12 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
 def _lens(entry: CommentedMap, where: str) -> Pinhole:
     width, height = (_whole_number(entry, key, where) for key in ("width", "height"))
     if width * height > MAX_PICTURE_PIXELS:
-        raise _error(entry, "width", where, f"and height give {width * height:,} pixels; at most {MAX_PICTURE_PIXELS:,}.")
+        raise _error(
+            entry,
+            "width",
+            where,
+            f"and height give {width * height:,} pixels; at most {MAX_PICTURE_PIXELS:,}.",
+        )
     _exactly_one(entry, "hfov", ("intrinsics",), where)
     if "hfov" in entry:
         return Pinhole.from_hfov(_number(entry, "hfov", where), width, height)
@@ -198,10 +222,8 @@ def _exactly_one(entry: CommentedMap, key: str, others: tuple[str, ...], where: 
 
 def _error(mapping: Mapping[Any, Any], key: object, where: str, what: str) -> RigError:
     line = ""
-    try:
+    with contextlib.suppress(AttributeError, KeyError, TypeError):
         line = f", line {mapping.lc.key(key)[0] + 1}"  # type: ignore[attr-defined]
-    except (AttributeError, KeyError, TypeError):
-        pass
     return RigError(f"{key} {what}", where=f"{where}{line}")
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from unidrive_cli.errors import DatasetError, GeometryError, UsageError
 from unidrive_cli.geometry.arrays import Float
@@ -215,7 +216,7 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
     """
     folder = _version_folder(root, version)
     notes: list[str] = []
-    tables: dict[str, Table[object]] = {}  # type: ignore[type-var]
+    tables: dict[str, Table[Any]] = {}
     for name in NEEDED:
         tables[name] = read_table(folder / f"{name}.json", name)
     for name in (name for name in TABLES if name not in NEEDED):
@@ -227,9 +228,7 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
             tables[name] = table_of(name, records)
             notes.append(f"{name}.json is missing; {len(records)} rows are assumed.")
     extra = {path.stem: path for path in sorted(folder.glob("*.json")) if path.stem not in TABLES}
-    return Dataset(root, folder.name, **tables, extra_tables=extra, notes=notes)  # type: ignore[arg-type]
-
-
+    return Dataset(root, folder.name, **tables, extra_tables=extra, notes=notes)
 
 
 def _version_folder(root: Path, version: str | None) -> Path:
@@ -258,7 +257,9 @@ def _version_folder(root: Path, version: str | None) -> Path:
         if not (root / "sample_data.json").exists():
             read_table(root / "sample_data.json", "sample_data")
         raise DatasetError(
-            "is a version folder itself.", where=str(root), hint=f"Give the folder above it: {root.resolve().parent}."
+            "is a version folder itself.",
+            where=str(root),
+            hint=f"Give the folder above it: {root.resolve().parent}.",
         )
     raise DatasetError(
         "holds no version folder: no folder with sensor.json and sample_data.json in it.",
@@ -267,8 +268,8 @@ def _version_folder(root: Path, version: str | None) -> Path:
     )
 
 
-def _minimal_records(name: str, tables: dict[str, Table[object]]) -> list[dict[str, object]]:  # type: ignore[type-var]
-    logs = sorted({row.log_token for row in tables["scene"].rows})  # type: ignore[attr-defined]
+def _minimal_records(name: str, tables: dict[str, Table[Any]]) -> list[dict[str, object]]:
+    logs = sorted({row.log_token for row in tables["scene"].rows})
     if name == "visibility":
         return [dict(record) for record in NUSCENES_VISIBILITY]
     if name == "log":
@@ -280,7 +281,7 @@ def _minimal_records(name: str, tables: dict[str, Table[object]]) -> list[dict[s
     return []
 
 
-def _pose(table: Table[object], row: CalibratedSensor | EgoPose | SampleAnnotation) -> Float:  # type: ignore[type-var]
+def _pose(table: Table[Any], row: CalibratedSensor | EgoPose | SampleAnnotation) -> Float:
     try:
         return pose(rotation_from_quaternion(row.rotation), row.translation)
     except GeometryError as error:

@@ -72,9 +72,7 @@ def mended_scenes(dataset: Dataset, kept_samples: Collection[str]) -> Iterator[t
         )
 
 
-def mended_instances(
-    dataset: Dataset, kept_annotations: Collection[str]
-) -> Iterator[tuple[int, dict[str, Any]]]:
+def mended_instances(dataset: Dataset, kept_annotations: Collection[str]) -> Iterator[tuple[int, dict[str, Any]]]:
     """(row index, changed fields) of each instance that stays.
 
     An instance whose annotations all leave goes with them; one that never had any stays.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -48,9 +50,11 @@ class Table(Generic[R]):
         """
         index = {row.token: row for row in self.rows}
         if len(index) != len(self.rows):
-            seen: set[str] = set()
-            twice = next(row.token for row in self.rows if row.token in seen or seen.add(row.token))
-            raise DatasetError("two rows have this token; tokens must be unique.", where=f"{self.file}, token {twice}")
+            counts = Counter(row.token for row in self.rows)
+            twice = next(token for token, count in counts.items() if count > 1)
+            raise DatasetError(
+                "two rows have this token; tokens must be unique.", where=f"{self.file}, token {twice}"
+            )
         return index
 
     def get(self, token: str, wanted_by: str) -> R:
@@ -84,7 +88,9 @@ def read_table(path: Path, name: str) -> Table[Any]:
         data = path.read_bytes()
     except FileNotFoundError as error:
         raise DatasetError(
-            "this table is needed and missing.", where=file, hint="Unpack the dataset's metadata archive completely."
+            "this table is needed and missing.",
+            where=file,
+            hint="Unpack the dataset's metadata archive completely.",
         ) from error
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=file) from error
@@ -138,10 +144,8 @@ def changed(raw: bytes | msgspec.Raw, changes: dict[str, Any]) -> bytes:
 
 def _bad_row(text: bytes | msgspec.Raw, index: int, file: str, message: str) -> DatasetError:
     where = f"{file}, row {index}"
-    try:
+    with contextlib.suppress(msgspec.DecodeError, KeyError, TypeError, RecursionError):
         where += f", token {msgspec.json.decode(text)['token']}"
-    except (msgspec.DecodeError, KeyError, TypeError, RecursionError):
-        pass
     match = re.fullmatch(r"(?P<what>.*?)(?: - at `\$\.?(?P<field>.*?)`)?", message, re.DOTALL)
     what, field = (match["what"], match["field"]) if match else (message, None)
     missing = re.fullmatch(r"Object missing required field `(.*)`", what)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -17,8 +15,8 @@ from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse, transform
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
 from unidrive_cli.rig.model import Camera
+from unidrive_cli.warp.choices import Blend
 
-Blend = Literal["angular", "nearest"]
 Mask = npt.NDArray[np.uint8]
 
 _SEARCH_STEP_RAD = 0.014
@@ -63,7 +61,9 @@ class VirtualView:
         rays_ego = rays_cam @ self.camera.ego_from_cam[:3, :3].T
         return self.half_ball.exit_distance_m(self.camera.centre_ego, rays_ego) * rays_cam[..., 2]
 
-    def points(self, frame_from_ego: Float, rows: npt.NDArray[np.intp] | slice, columns: npt.NDArray[np.intp] | slice) -> Float:
+    def points(
+        self, frame_from_ego: Float, rows: npt.NDArray[np.intp] | slice, columns: npt.NDArray[np.intp] | slice
+    ) -> Float:
         """Scene points (h, w, 3) of a grid of pixels in another frame, metres.
 
         Point = t (A x + b) with the pixel's depth t and A, b of the rigid transform, so the work per
@@ -75,7 +75,11 @@ class VirtualView:
         depth = self.depth_m[rows][:, columns]
         planes = np.empty((3, len(y), len(x)))
         for axis in range(3):
-            np.add((rotation[axis, 0] * x)[None, :], (rotation[axis, 1] * y + rotation[axis, 2])[:, None], planes[axis])
+            np.add(
+                (rotation[axis, 0] * x)[None, :],
+                (rotation[axis, 1] * y + rotation[axis, 2])[:, None],
+                planes[axis],
+            )
             planes[axis] *= depth
             planes[axis] += origin[axis]
         return np.moveaxis(planes, 0, -1)
@@ -115,9 +119,7 @@ def build_patches(view: VirtualView, sources: Sequence[Source], blend: Blend) ->
     """
     lens = view.camera.lens
     patches = [
-        patch
-        for index, source in enumerate(sources)
-        if (patch := _project_patch(view, source, index)) is not None
+        patch for index, source in enumerate(sources) if (patch := _project_patch(view, source, index)) is not None
     ]
     count = np.zeros((lens.height_px, lens.width_px), dtype=np.uint8)
     for patch in patches:
@@ -155,8 +157,8 @@ def _project_patch(view: VirtualView, source: Source, index: int) -> Patch | Non
     box = _candidate_box(view, source)
     if box is None:
         return None
-    pixels, valid = source.lens.project(view.points(source.cam_from_ego, *box))
-    pixels = pixels.astype(np.float32)
+    exact, valid = source.lens.project(view.points(source.cam_from_ego, *box))
+    pixels = exact.astype(np.float32)
     pixels[~valid] = 0
     return _cropped(Patch(index, box, pixels, valid, valid.astype(np.float32)))
 
@@ -172,13 +174,16 @@ def _candidate_box(view: VirtualView, source: Source) -> tuple[slice, slice] | N
     rows = np.append(np.arange(0, lens.height_px - 1, step), lens.height_px - 1)
     columns = np.append(np.arange(0, lens.width_px - 1, step), lens.width_px - 1)
     near = source.lens.border_sine(view.points(source.cam_from_ego, rows, columns)) > -_SEARCH_MARGIN_SINE
-    hits = _bounds(near)
+    hits = bounds(near)
     if hits is None:
         return None
     row_box, column_box = hits
     return (
         slice(int(rows[max(row_box.start - 1, 0)]), int(rows[min(row_box.stop, len(rows) - 1)]) + 1),
-        slice(int(columns[max(column_box.start - 1, 0)]), int(columns[min(column_box.stop, len(columns) - 1)]) + 1),
+        slice(
+            int(columns[max(column_box.start - 1, 0)]),
+            int(columns[min(column_box.stop, len(columns) - 1)]) + 1,
+        ),
     )
 
 
@@ -192,28 +197,23 @@ def _weigh(view: VirtualView, source: Source, patch: Patch, shared: Bool) -> Non
 
 
 def _cropped(patch: Patch) -> Patch | None:
-    bounds = _bounds(patch.valid)
-    if bounds is None:
+    box = bounds(patch.valid)
+    if box is None:
         return None
-    rows, columns = bounds
+    rows, columns = box
     top, left = patch.box[0].start, patch.box[1].start
     return Patch(
         patch.source,
         (slice(top + rows.start, top + rows.stop), slice(left + columns.start, left + columns.stop)),
-        np.ascontiguousarray(patch.pixels[bounds]),
-        np.ascontiguousarray(patch.valid[bounds]),
-        np.ascontiguousarray(patch.weight[bounds]),
+        np.ascontiguousarray(patch.pixels[box]),
+        np.ascontiguousarray(patch.valid[box]),
+        np.ascontiguousarray(patch.weight[box]),
     )
 
 
-def _bounds(mask: Bool) -> tuple[slice, slice] | None:
+def bounds(mask: Bool) -> tuple[slice, slice] | None:
+    """The smallest box (rows, columns) that holds every true pixel of a mask (h, w); None if there is none."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def fixed_point(pixels: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]:
-    """OpenCV's fixed-point form (1/32 pixel) of source coordinates (h, w, 2)."""
-    whole, fraction = cv2.convertMaps(pixels, None, cv2.CV_16SC2)
-    return whole, fraction

@@ -12,8 +12,11 @@ import numpy.typing as npt
 
 from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, encode_mask
-from unidrive_cli.warp.remap import Blend, Mask, Patch, Source, VirtualView, build_patches, coverage, fixed_point
+from unidrive_cli.warp.remap import Mask, Patch, Source, VirtualView, bounds, build_patches, coverage
+
+_NO_SECOND_MAP = np.empty(0, dtype=np.float32)
 
 
 class Renderer:
@@ -79,12 +82,35 @@ class ViewTables:
         return canvas
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
+class _Mix:
+    """The pixels of a step that sources before it have drawn too.
+
+    Attributes:
+        box: rows and columns, inside the step's own box.
+        where: (h, w) uint8, non-zero on those pixels.
+        weight_before, weight: (h, w) float32 weights of the running result and of this source.
+    """
+
+    box: tuple[slice, slice]
+    where: Mask
+    weight_before: npt.NDArray[np.float32]
+    weight: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
 class _Step:
     """One source drawn over what the sources before it have drawn.
 
     The running result and this source are mixed in the ratio of their summed weights, so after the
     last source every pixel is the weighted mean of all (UniDrive eq. 3).
+
+    Attributes:
+        source: index of the source.
+        box: rows and columns of the virtual picture.
+        whole, fraction: source coordinates in OpenCV's fixed-point form (1/32 pixel).
+        fresh: (h, w) uint8, non-zero where this source is the first; None where it is everywhere.
+        mix: the pixels where it is not.
     """
 
     source: int
@@ -92,49 +118,37 @@ class _Step:
     whole: npt.NDArray[np.int16]
     fraction: npt.NDArray[np.uint16]
     fresh: Mask | None
-    mixed_box: tuple[slice, slice] | None
-    mixed: Mask | None
-    weight_before: npt.NDArray[np.float32] | None
-    weight: npt.NDArray[np.float32] | None
+    mix: _Mix | None
 
     @classmethod
     def after(cls, done: npt.NDArray[np.float32], patch: Patch) -> _Step:
-        """The step of `patch` after the weights `done` (H, W), which it adds its own to."""
+        """The step of `patch` after the summed weights `done` (H, W), which it adds its own to."""
         before = done[patch.box]
         overlap = patch.valid & (before > 0)
         fresh = patch.valid & ~overlap
-        step = cls(
+        mix = None
+        box = bounds(overlap)
+        if box is not None:
+            mix = _Mix(box, overlap[box].astype(np.uint8), before[box].copy(), patch.weight[box].copy())
+        whole, fraction = cv2.convertMaps(patch.pixels, _NO_SECOND_MAP, cv2.CV_16SC2)
+        done[patch.box] += patch.weight
+        return cls(
             patch.source,
             patch.box,
-            *fixed_point(patch.pixels),
+            np.asarray(whole, dtype=np.int16),
+            np.asarray(fraction, dtype=np.uint16),
             None if fresh.all() else fresh.astype(np.uint8),
-            None,
-            None,
-            None,
-            None,
+            mix,
         )
-        if overlap.any():
-            rows, columns = np.flatnonzero(overlap.any(axis=1)), np.flatnonzero(overlap.any(axis=0))
-            box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            step.mixed_box = box
-            step.mixed = overlap[box].astype(np.uint8)
-            step.weight_before = np.ascontiguousarray(before[box])
-            step.weight = np.ascontiguousarray(patch.weight[box])
-        done[patch.box] += patch.weight
-        return step
 
     def draw(self, picture: Picture, canvas: Picture) -> None:
+        """Draws the source `picture` (h, w, 3) into its part of `canvas` (H, W, 3)."""
         target = canvas[self.box]
         warped = cv2.remap(picture, self.whole, self.fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        if self.mixed_box is not None:
-            mixed_target = target[self.mixed_box]
-            mixed = cv2.blendLinear(
-                np.ascontiguousarray(mixed_target),
-                np.ascontiguousarray(warped[self.mixed_box]),
-                self.weight_before,
-                self.weight,
-            )
-            np.copyto(mixed_target, mixed, where=self.mixed[..., None].astype(bool))
+        if self.mix is not None:
+            shared = target[self.mix.box]
+            mixed = cv2.blendLinear(shared, warped[self.mix.box], self.mix.weight_before, self.mix.weight)
+            cv2.copyTo(mixed, self.mix.where, shared)
         if self.fresh is None:
             target[...] = warped
         else:
