@@ -88,7 +88,7 @@ class HalfBall:
             eqs. 1 and 2 with the test of Algorithm 1, for a camera of any pitch and roll.
         """
         descent = -(directions_ego @ self.ground.normal)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             t_ground = np.where(descent > 0, self.ground.height_m(origins_ego) / descent, np.inf)
         offset = origins_ego - self.centre_ego
         half_b = np.sum(offset * directions_ego, axis=-1)

@@ -29,7 +29,7 @@ def picture_size(data: bytes, where: str) -> tuple[int, int]:
     if data.startswith(_JPEG_MAGIC):
         try:
             height, width, _, _ = simplejpeg.decode_jpeg_header(data, strict=False)
-        except ValueError as error:
+        except (ValueError, KeyError) as error:
             raise PictureError(f"is a broken JPEG file ({_reason(error)}).", where=where) from error
         return int(width), int(height)
     what = "is empty" if not data else "is neither a JPEG nor a PNG file"
@@ -60,7 +60,7 @@ def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture
     if data.startswith(_JPEG_MAGIC):
         try:
             picture: Picture = simplejpeg.decode_jpeg(data, colorspace="BGR")
-        except ValueError as error:
+        except (ValueError, KeyError) as error:
             raise PictureError(f"is a broken JPEG file ({_reason(error)}).", where=where) from error
         return picture
     if not data.endswith(b"IEND\xaeB`\x82"):
@@ -94,5 +94,7 @@ def _encode(suffix: str, picture: npt.NDArray[np.uint8], parameters: list[int]) 
     return bytes(data)
 
 
-def _reason(error: ValueError) -> str:
+def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return "its header cannot be read"
     return str(error).split("(): ")[-1].rstrip(".")

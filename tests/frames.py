@@ -1,0 +1,57 @@
+"""Renders samples through the package the way `convert` does, up to the pictures before JPEG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from unidrive_cli.convert.options import Options
+from unidrive_cli.convert.plan import make_plan
+from unidrive_cli.convert.units import read_picture
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.warp.remap import Source
+from unidrive_cli.warp.render import Renderer, ViewTables
+
+
+@dataclass
+class Rendered:
+    """One sample: pictures and tables by virtual channel, source pictures in the order of `channels`."""
+
+    sample_token: str
+    pictures: dict[str, np.ndarray]
+    tables: dict[str, ViewTables]
+    sources: dict[str, np.ndarray]
+
+
+def render_samples(root: Path, rig: Rig, version: str | None = None, **options: object) -> list[Rendered]:
+    """All samples of a dataset through a rig."""
+    dataset = open_dataset(root, version)
+    plan = make_plan(dataset, rig, Options(**options))
+    chosen = plan.options
+    renderer = Renderer(rig, chosen.depth_limit_m, chosen.ground_height_m, chosen.blend)
+    rendered = []
+    for unit in plan.units:
+        frame = plan.frame(unit)
+        sources = [read_picture(source) for source in frame.sources]
+        tables = renderer.tables([Source(source.lens, source.cam_from_ego) for source in frame.sources])
+        rendered.append(
+            Rendered(
+                unit.sample.token,
+                {c: view.render(sources) for c, view in zip(rig.channels, tables, strict=True)},
+                dict(zip(rig.channels, tables, strict=True)),
+                {
+                    dataset.sensor_of(row).channel: picture
+                    for row, picture in zip(unit.sources, sources, strict=True)
+                },
+            )
+        )
+    return rendered
+
+
+def psnr_db(picture: np.ndarray, truth: np.ndarray) -> float:
+    """PSNR of 8-bit pictures, or of the pixels (n, 3) of them."""
+    error = np.mean((picture.astype(np.float64) - truth) ** 2)
+    return float("inf") if error == 0 else float(10 * np.log10(255.0**2 / error))
