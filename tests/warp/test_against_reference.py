@@ -21,7 +21,7 @@ cameras:
   CAM_BACK:
     {width: 1280, height: 720, hfov: 60, position: [0.2, -0.3, 1.4], yaw: -160, pitch: 9, roll: -15}
   CAM_LEFT:
-    {width: 900, height: 1000, intrinsics: [700, 760, 400, 560], position: [0.8, 0.4, 1.7], yaw: 95, pitch: 3, roll: 90}
+    {width: 900, height: 1000, intrinsics: [700, 760, 400, 560], position: [0.8, 0.4, 1.7], yaw: 95, roll: 90}
 """
 
 CARS = {

@@ -34,9 +34,7 @@ def test_exif_orientation_is_ignored(picture: np.ndarray) -> None:
     jpeg = encode_jpeg(picture, 95)
     turned = jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg[2:]
     assert cv2.imdecode(np.frombuffer(turned, np.uint8), cv2.IMREAD_COLOR).shape == (160, 90, 3)
-    np.testing.assert_array_equal(
-        decode_picture(turned, (160, 90), "x"), decode_picture(jpeg, (160, 90), "x")
-    )
+    np.testing.assert_array_equal(decode_picture(turned, (160, 90), "x"), decode_picture(jpeg, (160, 90), "x"))
 
 
 def test_grey_png_becomes_three_channels(picture: np.ndarray) -> None:

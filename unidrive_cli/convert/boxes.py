@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import msgspec
@@ -56,7 +56,7 @@ def seen_boxes(
     if not count:
         return [], []
     points = box_geometry.grid(ego_from_box, sizes_wlh_m, _GRID)
-    corners = [box_geometry.corners(pose, size) for pose, size in zip(ego_from_box, sizes_wlh_m, strict=True)]
+    corners = box_geometry.corners(ego_from_box, sizes_wlh_m)
     by_sources = np.zeros(points.shape[:2], dtype=bool)
     for lens, cam_from_ego in sources:
         by_sources |= lens.project(transform(cam_from_ego, points))[1]
@@ -65,10 +65,8 @@ def seen_boxes(
     for index, (camera, mask) in enumerate(views):
         cam_from_ego = inverse(camera.ego_from_cam)
         by_views |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points), mask)
-        for annotation in range(count):
-            outline = _outline_2d(camera, transform(cam_from_ego, corners[annotation]))
-            if outline is not None and _touches(mask, outline):
-                boxes.append(Box2d(index, annotation, *(round(float(side), 3) for side in outline.bounds)))
+        for annotation, bounds in _bounds_2d(camera, transform(cam_from_ego, corners), mask):
+            boxes.append(Box2d(index, annotation, *(round(side, 3) for side in bounds)))
     shown_anywhere = {box.annotation for box in boxes}
     virtual, source = by_views.sum(axis=1), by_sources.sum(axis=1)
     share = np.minimum(virtual / np.maximum(source, 1), 1.0)
@@ -87,17 +85,28 @@ def _on_covered_pixels(lens: Lens, points_cam: Float, mask: npt.NDArray[np.uint8
     return covered
 
 
-def _outline_2d(camera: Camera, corners_cam: Float) -> shapely.Polygon | None:
-    """The convex outline of a box (8, 3), cut at the near plane and at the picture's border."""
-    if corners_cam[:, 2].max() < NEAR_M:
-        return None
+def _bounds_2d(
+    camera: Camera, corners_cam: Float, mask: npt.NDArray[np.uint8]
+) -> Iterator[tuple[int, tuple[float, float, float, float]]]:
+    """(index, left, top, right, bottom) of the boxes (n, 8, 3) that show on covered pixels of a picture."""
     lens = camera.lens
-    points = box_geometry.clipped_outline(corners_cam, NEAR_M)
-    pixels = points[:, :2] / points[:, 2:] * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
-    if (pixels.max(axis=0) <= 0).any() or (pixels.min(axis=0) >= [lens.width_px, lens.height_px]).any():
-        return None
-    cut = shapely.MultiPoint(pixels).convex_hull.intersection(shapely.box(0, 0, lens.width_px, lens.height_px))
-    return cut if isinstance(cut, shapely.Polygon) and cut.area > 0 else None
+    canvas = np.array([lens.width_px, lens.height_px])
+    depth = corners_cam[..., 2]
+    for index in np.flatnonzero(depth.max(axis=1) >= NEAR_M):
+        whole = depth[index].min() >= NEAR_M
+        points = corners_cam[index] if whole else box_geometry.clipped_outline(corners_cam[index], NEAR_M)
+        pixels = points[:, :2] / points[:, 2:] * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        if (high <= 0).any() or (low >= canvas).any():
+            continue
+        outline = shapely.convex_hull(shapely.multipoints(pixels))
+        if (low < 0).any() or (high > canvas).any():
+            outline = shapely.intersection(outline, shapely.box(0, 0, *canvas))
+        if not isinstance(outline, shapely.Polygon) or outline.is_empty:
+            continue
+        left, top, right, bottom = outline.bounds
+        if _touches(mask, outline):
+            yield int(index), (left, top, right, bottom)
 
 
 def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:

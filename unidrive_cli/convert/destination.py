@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unidrive_cli.convert.units import write_file
 from unidrive_cli.errors import OutputError, UsageError
 
 PROVENANCE = "unidrive.json"
 RUN = "run.json"
 WORK = ".unidrive"
+RECEIPTS = "receipts"
 MARKER = "UNFINISHED.txt"
 _MARKER_TEXT = "unidrive convert has not finished here. Run the same command again to complete this dataset.\n"
 
@@ -38,7 +40,31 @@ class Destination:
     @property
     def receipts(self) -> Path:
         """One file per finished unit."""
-        return self.work / "receipts"
+        return self.work / RECEIPTS
+
+    def write(self, name: str, data: bytes) -> None:
+        """Writes a file below DST, whole or not at all: in the work folder first, then renamed.
+
+        Args:
+            name: POSIX path relative to DST.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        path = self.root / name
+        temporary = self.work / f"{path.name}.{os.getpid()}.part"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(data)
+            temporary.replace(path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise OutputError(
+                f"cannot be written: {error.strerror}.",
+                where=str(path),
+                hint="When that is mended, the same command continues.",
+            ) from error
 
     @property
     def finished(self) -> bool:
@@ -121,8 +147,8 @@ def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> D
         destination.receipts.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
-    write_file(root / MARKER, _MARKER_TEXT.encode())
-    write_file(destination.work / "plan.json", json.dumps(identity, indent=1, sort_keys=True).encode())
+    destination.write(MARKER, _MARKER_TEXT.encode())
+    destination.write(f"{WORK}/plan.json", json.dumps(identity, indent=1, sort_keys=True).encode())
     return destination
 
 

@@ -20,7 +20,7 @@ from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
 from unidrive_cli.convert.plan import Plan
 from unidrive_cli.convert.training_notes import training_notes
-from unidrive_cli.convert.units import Receipt, write_file
+from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.verify import Verified, verify
 from unidrive_cli.errors import OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
@@ -94,12 +94,12 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         if plan.options.masks == "camera":
             _camera_masks(plan, destination)
         summary = _summary(plan, receipts, tables.counts, carried, missing, failures, notes)
-        write_file(destination.root / "TRAINING.md", training_notes(plan).encode())
+        destination.write("TRAINING.md", training_notes(plan).encode())
         summary.verified = verify(plan, destination, staged)
         final = destination.root / plan.dataset.version
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
-        write_file(destination.root / PROVENANCE, _provenance(plan, summary))
+        destination.write(PROVENANCE, _provenance(plan, summary))
     except OSError as error:
         raise OutputError(
             f"cannot be written: {error.strerror}.",
@@ -136,7 +136,7 @@ def close(destination: Destination, summary: Summary) -> None:
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-    write_file(destination.root / RUN, _json(run))
+    destination.write(RUN, _json(run))
     try:
         (destination.root / MARKER).unlink(missing_ok=True)
         shutil.rmtree(destination.work)
@@ -173,7 +173,7 @@ def _carry_files(
     carried = missing = 0
     example = ""
     for filename in carried_files(plan.dataset, list(tables.kept_sample_data.values()), extra_rows):
-        if carry(plan.dataset, filename, destination.root, plan.options.link):
+        if carry(plan.dataset, filename, destination, plan.options.link):
             carried += 1
         else:
             missing += 1
@@ -186,9 +186,8 @@ def _carry_files(
 def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> None:
     """nuscenes-devkit refuses a dataset whose map picture is missing: an empty one takes its place."""
     for row in plan.dataset.map.rows:
-        target = destination.root / row.filename
-        if row.filename and not target.exists():
-            write_file(target, encode_mask(np.zeros((10, 10), dtype=np.uint8)))
+        if row.filename and not (destination.root / row.filename).exists():
+            destination.write(row.filename, encode_mask(np.zeros((10, 10), dtype=np.uint8)))
             notes.append(f"The map picture {row.filename} is missing in the source; an empty one was written.")
 
 
@@ -200,7 +199,7 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
     renderer = Renderer(plan.rig, options.depth_limit_m, options.ground_height_m, options.blend)
     for camera, view in zip(plan.rig.cameras, renderer.tables(sources), strict=True):
-        write_file(destination.root / "masks" / f"{camera.channel}.png", view.mask_png)
+        destination.write(f"masks/{camera.channel}.png", view.mask_png)
 
 
 def _summary(

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from unidrive_cli.convert.destination import Destination
 from unidrive_cli.convert.options import Link
 from unidrive_cli.errors import DatasetError, OutputError
 from unidrive_cli.tables.dataset import Dataset
@@ -39,7 +40,7 @@ def carried_files(dataset: Dataset, rows: list[SampleData], extra_rows: list[dic
     yield from sorted(named)
 
 
-def carry(dataset: Dataset, filename: str, destination: Path, how: Link) -> bool:
+def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) -> bool:
     """Brings one file of the source into the destination; False where the source does not have it.
 
     Raises:
@@ -47,7 +48,7 @@ def carry(dataset: Dataset, filename: str, destination: Path, how: Link) -> bool
         OutputError: it cannot be written.
     """
     source = dataset.files.resolve(filename, f"{dataset.folder}, filename {filename!r:.80}")
-    target = destination / filename
+    target = destination.root / filename
     if not source.is_file():
         return False
     if os.path.lexists(target):
@@ -58,7 +59,7 @@ def carry(dataset: Dataset, filename: str, destination: Path, how: Link) -> bool
         if how == "symlink":
             target.symlink_to(real)
         elif how == "copy" or not _hard_link(real, target):
-            temporary = target.with_name(f".{target.name}.part")
+            temporary = destination.work / "carried.part"
             shutil.copyfile(real, temporary)
             temporary.replace(target)
     except OSError as error:

@@ -25,6 +25,7 @@ from unidrive_cli.geometry.poses import inverse, relative
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
+from unidrive_cli.tables.paths import check_filename
 from unidrive_cli.tables.rig_of_dataset import camera_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
 from unidrive_cli.warp.pictures import picture_size
@@ -163,6 +164,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
             f"(the first: {mended[0].where} {mended[0].what[:-1]})."
         )
     check_poses(dataset)
+    _check_filenames(dataset)
     channels = set(dataset.camera_channels(options.cameras))
     units = list(_units(dataset, rig, options, channels))
     if not units:
@@ -202,6 +204,13 @@ def _check_rig(dataset: Dataset, rig: Rig, options: Options) -> None:
             HalfBall(camera.centre_ego, options.depth_limit_m, GroundPlane(options.ground_height_m))
         except GeometryError as error:
             raise RigError(error.what, where=f"{rig.name}, camera {camera.channel}") from error
+
+
+def _check_filenames(dataset: Dataset) -> None:
+    for table in (dataset.sample_data, dataset.map):
+        for row in table.rows:
+            if row.filename or table is dataset.sample_data:
+                check_filename(row.filename, table.place(row, "filename"))
 
 
 def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:

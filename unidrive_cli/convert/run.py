@@ -63,7 +63,7 @@ def _run_units(
     failures: list[Failure] = []
     todo: list[Unit] = []
     for unit in plan.units:
-        receipt = read_receipt(destination.receipts, unit.sample.token)
+        receipt = read_receipt(destination, unit.sample.token)
         if receipt is None:
             todo.append(unit)
         else:
@@ -73,8 +73,7 @@ def _run_units(
         progress(len(receipts), total)
     options = plan.options
     job = Job(
-        destination.root.absolute(),
-        destination.receipts.absolute(),
+        Destination(destination.root.absolute()),
         plan.rig,
         options.depth_limit_m,
         options.ground_height_m,

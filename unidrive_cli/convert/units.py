@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +11,9 @@ import cv2
 import msgspec
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
+from unidrive_cli.convert.destination import RECEIPTS, WORK, Destination
 from unidrive_cli.convert.options import Masks
-from unidrive_cli.errors import OutputError, PictureError
+from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.model import Rig
@@ -25,17 +25,15 @@ from unidrive_cli.warp.render import Renderer
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What all units of one conversion share.
+    """What all units of one conversion share; equal where the plan is the same.
 
     Attributes:
         destination: DST.
-        receipts: folder of the receipts.
         rig, depth_limit_m, ground_height_m, blend, quality, masks: see `Options`.
         key: digest of the plan.
     """
 
-    destination: Path
-    receipts: Path
+    destination: Destination
     rig: Rig
     depth_limit_m: float
     ground_height_m: float
@@ -43,6 +41,12 @@ class Job:
     quality: int
     masks: Masks
     key: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Job) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +96,15 @@ class Receipt(msgspec.Struct, frozen=True):
     boxes: list[Box2d]
 
 
-def receipt_path(receipts: Path, sample_token: str) -> Path:
-    """The receipt of a sample; the name is hashed because tokens are not to be trusted as file names."""
-    return receipts / f"{hashlib.sha256(sample_token.encode()).hexdigest()[:32]}.json"
+def receipt_name(sample_token: str) -> str:
+    """The receipt of a sample, below DST; hashed because tokens are not to be trusted as file names."""
+    return f"{WORK}/{RECEIPTS}/{hashlib.sha256(sample_token.encode()).hexdigest()[:32]}.json"
 
 
-def read_receipt(receipts: Path, sample_token: str) -> Receipt | None:
+def read_receipt(destination: Destination, sample_token: str) -> Receipt | None:
     """The receipt of a sample, or None where it is missing or broken."""
     try:
-        return msgspec.json.decode(receipt_path(receipts, sample_token).read_bytes(), type=Receipt)
+        return msgspec.json.decode((destination.root / receipt_name(sample_token)).read_bytes(), type=Receipt)
     except (OSError, msgspec.DecodeError):
         return None
 
@@ -112,16 +116,16 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         PictureError: a source picture is missing, broken or of another size.
         OutputError: a file cannot be written.
     """
-    renderer = _renderer(job.key, job)
+    renderer = renderer_of(job)
     pictures = [read_picture(source) for source in frame.sources]
     tables = renderer.tables([Source(source.lens, source.cam_from_ego) for source in frame.sources])
     sizes = []
     for view, name in zip(tables, frame.pictures, strict=True):
         data = encode_jpeg(view.render(pictures), job.quality)
         sizes.append(len(data))
-        write_file(job.destination / name, data)
+        job.destination.write(name, data)
         if job.masks == "frame":
-            write_file(job.destination / mask_name(name), view.mask_png)
+            job.destination.write(mask_name(name), view.mask_png)
     shown, boxes = seen_boxes(
         frame.ego_from_box,
         frame.box_sizes_m,
@@ -129,7 +133,7 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         [(camera, view.mask) for camera, view in zip(job.rig.cameras, tables, strict=True)],
     )
     receipt = Receipt(frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, boxes)
-    write_file(receipt_path(job.receipts, frame.sample_token), msgspec.json.encode(receipt))
+    job.destination.write(receipt_name(frame.sample_token), msgspec.json.encode(receipt))
     return receipt
 
 
@@ -152,28 +156,8 @@ def read_picture(source: FrameSource) -> Picture:
     return decode_picture(data, (source.lens.width_px, source.lens.height_px), source.path)
 
 
-def write_file(path: Path, data: bytes) -> None:
-    """Writes a file under a temporary name and renames it, so that it is whole or not there.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OutputError(
-            f"cannot be written: {error.strerror}.",
-            where=str(path),
-            hint="Free the disk and run the same command.",
-        ) from error
-
-
 @functools.lru_cache(maxsize=1)
-def _renderer(key: str, job: Job) -> Renderer:
-    """One renderer per worker process: its tables outlive a unit."""
+def renderer_of(job: Job) -> Renderer:
+    """The job's renderer: one per worker process, because its tables outlive a unit."""
     cv2.setNumThreads(1)
     return Renderer(job.rig, job.depth_limit_m, job.ground_height_m, job.blend)

@@ -36,6 +36,12 @@ def finite_array(value: Any, shape: tuple[int | None, ...], name: str) -> Float:
     return array
 
 
+def lengths(vectors: Float) -> Float:
+    """Euclidean lengths (...) of vectors (..., n); much faster than `np.linalg.norm` where n is small."""
+    squares: Float = np.einsum("...k,...k->...", vectors, vectors)
+    return np.sqrt(squares, out=squares)
+
+
 def read_only(array: Float) -> Float:
     """A copy of `array` that nobody can change: what frozen dataclasses keep."""
     kept = np.array(array, dtype=np.float64)

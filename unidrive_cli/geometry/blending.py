@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.arrays import Float, lengths
 
 BORDER_FLOOR = 1e-4
 """Sine below which a ray counts as on the picture's border: keeps 0/0 away where two borders meet."""
@@ -34,9 +34,7 @@ def angular_weights(border_sine: Float, parallax_chord: Float) -> Float:
 
 def parallax_chord(points: Float, centre_a: Float, centre_b: Float) -> Float:
     """Chord 2 sin(angle / 2) of the angle at points (..., 3) between the directions to two centres (3,)."""
-    to_a = points - centre_a
-    to_b = points - centre_b
-    to_a /= np.linalg.norm(to_a, axis=-1, keepdims=True)
-    to_b /= np.linalg.norm(to_b, axis=-1, keepdims=True)
-    chord: Float = np.linalg.norm(to_a - to_b, axis=-1)
+    to_a, to_b = points - centre_a, points - centre_b
+    cosine = np.einsum("...k,...k->...", to_a, to_b) / (lengths(to_a) * lengths(to_b))
+    chord: Float = np.sqrt(np.maximum(2 - 2 * cosine, 0.0))
     return chord

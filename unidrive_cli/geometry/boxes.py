@@ -14,7 +14,8 @@ EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4),
 
 
 def corners(global_from_box: Float, size_wlh_m: Float) -> Float:
-    """(8, 3) corners in the frame of the pose; the first four are the front, in nuscenes-devkit's order."""
+    """(..., 8, 3) corners in the frame of the poses (..., 4, 4); the first four are the front, in nuscenes-devkit's
+    order."""
     return grid(global_from_box, size_wlh_m, _CORNER_SIGNS)
 
 

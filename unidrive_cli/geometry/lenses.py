@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from unidrive_cli.errors import GeometryError
-from unidrive_cli.geometry.arrays import Bool, Float, finite_array
+from unidrive_cli.geometry.arrays import Bool, Float, finite_array, lengths
 
 PIXEL_TOLERANCE = 1e-6
 """Rounding allowed, in pixels, where a point falls exactly on the picture's border."""
@@ -124,13 +124,12 @@ class Pinhole:
         x = (pixels[..., 0] - self.cx_px) / self.fx_px
         y = (pixels[..., 1] - self.cy_px) / self.fy_px
         rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-        unit: Float = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        unit: Float = rays / lengths(rays)[..., None]
         return unit
 
     def border_sine(self, points_cam: Float) -> Float:
-        distance = np.linalg.norm(points_cam, axis=-1)
-        to_planes = np.einsum("pk,...k->p...", self.border_normals(), points_cam)
-        sine: Float = to_planes.min(axis=0) / np.maximum(distance, np.finfo(np.float64).tiny)
+        nearest: Float = (points_cam @ self.border_normals().T).min(axis=-1)
+        sine: Float = nearest / np.maximum(lengths(points_cam), np.finfo(np.float64).tiny)
         return sine
 
     def border_normals(self) -> Float:

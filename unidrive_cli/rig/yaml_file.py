@@ -156,7 +156,9 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
         raise RigError(error.what, where=where) from error
     height_m = float(ground.height_m(camera.centre_ego))
     if height_m <= 0:
-        raise _error(entry, "position", where, f"puts the camera {-height_m:g} m below the ground.")
+        raise _error(
+            entry, "position", where, f"puts the camera at {height_m:g} m over the ground; it must stand above it."
+        )
     return camera
 
 

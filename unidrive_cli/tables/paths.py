@@ -10,25 +10,23 @@ from unidrive_cli.errors import DatasetError
 MAX_FILENAME_CHARACTERS = 1024
 
 
-def check_filename(filename: str, where: str) -> PurePosixPath:
-    """The `filename` of a table row as a safe relative path.
+def check_filename(filename: str, where: str) -> None:
+    """Refuses the `filename` of a table row that is not a safe relative path.
 
     Raises:
         DatasetError: empty, absolute, with `..`, NUL or a backslash, or absurdly long.
     """
-    path = PurePosixPath(filename)
     problem = None
-    if not filename or not path.parts:
-        problem = "is empty"
-    elif len(filename) > MAX_FILENAME_CHARACTERS:
+    if len(filename) > MAX_FILENAME_CHARACTERS:
         problem = f"has {len(filename)} characters"
     elif "\0" in filename or "\\" in filename:
         problem = "holds a NUL or a backslash"
-    elif path.is_absolute() or ".." in path.parts:
+    elif filename[:1] == "/" or (".." in filename and ".." in filename.split("/")):
         problem = f"leaves the dataset ({filename[:80]!r})"
+    elif not filename.strip("/."):
+        problem = f"names no file ({filename[:80]!r})"
     if problem:
         raise DatasetError(f"{problem}; a relative POSIX path inside the dataset is expected.", where=where)
-    return path
 
 
 class Inside:
@@ -49,7 +47,8 @@ class Inside:
         Raises:
             DatasetError: the name is not safe, or a link leads out of the dataset.
         """
-        path = check_filename(filename, where)
+        check_filename(filename, where)
+        path = PurePosixPath(filename)
         full = self._root.joinpath(path)
         top = path.parts[0]
         if top not in self._top_folders:

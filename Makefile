@@ -1,0 +1,47 @@
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO ?= demo-out
+WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help install test check convert demo bench clean
+
+help:                 ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@
+
+install: $(VENV)/.installed   ## make .venv and install unidrive into it
+
+test: install         ## run all tests
+	$(BIN)/python -m pytest -n $(WORKERS) $(PYTEST)
+
+check: install        ## ruff and strict mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+convert: install      ## make convert SRC=dataset DST=output RIG=roof-6x70
+	@test -n "$(SRC)" -a -n "$(DST)" -a -n "$(RIG)" || { echo 'usage: make convert SRC=dataset DST=output RIG=roof-6x70'; exit 2; }
+	$(BIN)/unidrive convert "$(SRC)" "$(DST)" --rig "$(RIG)"
+
+demo: install         ## paint a small drive, convert it, say where to look
+	rm -rf $(DEMO)
+	$(BIN)/python -m tests.painted $(DEMO)/source --scenes 1 --samples 2
+	$(BIN)/unidrive convert $(DEMO)/source $(DEMO)/converted --rig roof-6x70
+	$(BIN)/python -m tests.contact_sheet $(DEMO)/source $(DEMO)/converted $(DEMO)/contact-sheet.jpg
+	@echo
+	@echo 'Open $(DEMO)/contact-sheet.jpg: the source cameras above, the virtual ones with their boxes below.'
+	@echo 'The converted dataset is $(DEMO)/converted; read its TRAINING.md, or try:'
+	@echo '  $(BIN)/unidrive inspect-rig $(DEMO)/converted'
+	@echo '  $(BIN)/unidrive convert $(DEMO)/source $(DEMO)/another --rig 8x50'
+
+bench: install        ## CPU time of a sample against the codec alone
+	$(BIN)/python benchmarks/convert_vs_codec.py
+
+clean:                ## remove what make made
+	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache

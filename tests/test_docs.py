@@ -1,0 +1,64 @@
+"""What the documents say is true: code runs, files and options that they name are there."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.painted import nuscenes_like_cameras, write_painted
+from unidrive_cli.cli.main import app
+from unidrive_cli.rig.gallery import gallery_names
+from unidrive_cli.rig.yaml_file import parse_rig
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def code_blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_readme_names_every_shipped_rig() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert [name for name in gallery_names() if f"`{name}`" not in text] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_options_that_are_named_exist(page: Path) -> None:
+    helps = CliRunner().invoke(app, ["convert", "--help"], env={"COLUMNS": "300"}).output
+    helps += CliRunner().invoke(app, ["inspect-rig", "--help"], env={"COLUMNS": "300"}).output
+    helps = re.sub(r"\x1b\[[0-9;]*m", "", helps)
+    pages_own = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "benchmarks" / "convert_vs_codec.py").read_text()))
+    for option in set(re.findall(r"--[a-z][a-z-]+", page.read_text())) - pages_own:
+        assert option in helps, option
+
+
+def test_make_targets_that_the_readme_names_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"\bmake ([a-z-]+)\b(?= |`|\n)", (ROOT / "README.md").read_text())) <= targets
+
+
+def test_the_rig_file_of_the_docs_is_valid() -> None:
+    (text,) = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
+    rig = parse_rig(text, "docs/rig-files.md")
+    assert rig.channels == ("CAM_FRONT", "CAM_BACK")
+    assert rig.cameras[1].yaw_pitch_roll_deg[0] == pytest.approx(180)
+
+
+def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_painted(tmp_path / "demo-out" / "source", cameras=nuscenes_like_cameras(scale=0.05), samples_per_scene=1)
+    (code,) = code_blocks(ROOT / "README.md", "python")
+    (tmp_path / "example.py").write_text(code)
+    runpy.run_path(str(tmp_path / "example.py"), run_name="__main__")
+    assert (tmp_path / "demo-out" / "from-python" / "unidrive.json").is_file()
