@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def _option(default: Any, *names: str, help: str, **more: Any) -> Any:
     variable = "UNIDRIVE_" + names[0].split("/")[0].lstrip("-").upper().replace("-", "_")
-    return typer.Option(default, *names, help=help, envvar=variable, **more)
+    return typer.Option(default, *names, help=help, envvar=variable, show_envvar=False, **more)
 
 
 @guarded
@@ -50,12 +50,12 @@ def convert_command(
     depth_limit: float | None = _option(
         None,
         "--depth-limit",
-        help="D0: distance in metres of what is not ground. [default: the rig's, or 50]",
+        help="D0: distance in metres of what is not ground (default: the rig's, or 50).",
     ),
     ground_height: float | None = _option(
         None,
         "--ground-height",
-        help="Height in metres of the ground in the ego frame. [default: the rig's, or 0]",
+        help="Height in metres of the ground in the ego frame (default: the rig's, or 0).",
     ),
     blend: Blend = _option("angular", "--blend", help="How overlapping source pictures are joined."),
     ego_motion: bool = _option(
@@ -75,7 +75,7 @@ def convert_command(
         help="How unchanged files come into DST; links share SRC's data: treat as read-only.",
     ),
     jobs: int | None = _option(
-        None, "--jobs", "-j", help="Worker processes; 0 works in this process. [default: one per core]"
+        None, "--jobs", "-j", help="Worker processes; 0 works in this process (default: one per core)."
     ),
     on_error: OnError = _option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out."),
     verify: VerifyLevel = _option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
@@ -85,7 +85,10 @@ def convert_command(
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
 ) -> None:
-    """Render a nuScenes-format dataset through a virtual rig, annotations included."""
+    """Render a nuScenes-format dataset through a virtual rig, annotations included.
+
+    Every option can also be given as UNIDRIVE_<OPTION> in the environment, or in the --config file.
+    """
     from unidrive_cli.convert.destination import check_apart, check_destination, free_bytes
     from unidrive_cli.convert.plan import make_plan
     from unidrive_cli.convert.run import convert

@@ -83,11 +83,21 @@ CONFIG = typer.Option(
     help="YAML file with defaults for these options.",
     show_default=False,
     envvar="UNIDRIVE_CONFIG",
+    show_envvar=False,
 )
-DEBUG = typer.Option(False, "--debug", help="Show a traceback with an error.", envvar="UNIDRIVE_DEBUG")
-JSON = typer.Option(False, "--json", help="Print one JSON object instead of text.", envvar="UNIDRIVE_JSON")
+DEBUG = typer.Option(
+    False, "--debug", help="Show a traceback with an error.", envvar="UNIDRIVE_DEBUG", show_envvar=False
+)
+JSON = typer.Option(
+    False, "--json", help="Print one JSON object instead of text.", envvar="UNIDRIVE_JSON", show_envvar=False
+)
 SCENES = typer.Option(
-    [], "--scene", help="Only this scene (repeatable).", show_default=False, envvar="UNIDRIVE_SCENE"
+    [],
+    "--scene",
+    help="Only this scene (repeatable).",
+    show_default=False,
+    envvar="UNIDRIVE_SCENE",
+    show_envvar=False,
 )
 
 

@@ -169,7 +169,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
     units = list(_units(dataset, rig, options, channels))
     if not units:
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
-    notes.extend(_source_notes(dataset, units, channels, options))
+    notes.extend(_source_notes(dataset, rig, units, channels, options))
     notes.extend(consumer_notes(rig, dataset))
     plan = Plan(dataset, rig, options, units, notes)
     _check_cameras(plan)
@@ -190,20 +190,34 @@ def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
     elif sizes != {(1600, 900)}:
         width, height = sizes.pop()
         notes.append(f"Pictures are {width}x{height}: trainers that assume 1600x900 must be told (TRAINING.md).")
-    if LIDAR_REFERENCE not in {row.channel for row in dataset.sensor.rows}:
-        notes.append(f"The source has no {LIDAR_REFERENCE}: most trainers and the devkit's evaluation need one.")
-    return notes
+    return [*notes, *lidar_notes(dataset)]
+
+
+def lidar_notes(dataset: Dataset) -> list[str]:
+    """A sentence where the dataset has no LIDAR_TOP."""
+    if LIDAR_REFERENCE in {row.channel for row in dataset.sensor.rows}:
+        return []
+    return [f"The source has no {LIDAR_REFERENCE}: most trainers and the devkit's evaluation need one."]
 
 
 def _check_rig(dataset: Dataset, rig: Rig, options: Options) -> None:
     others = {row.channel for row in dataset.sensor.rows if row.modality != "camera"}
+    for channel in rig.channels:
+        if channel in others:
+            raise RigError(f"{channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
+    _scenes(rig, options)
+
+
+def _scenes(rig: Rig, options: Options) -> list[HalfBall]:
+    """The scene surface of each virtual camera."""
+    ground = GroundPlane(options.ground_height_m)
+    surfaces = []
     for camera in rig.cameras:
-        if camera.channel in others:
-            raise RigError(f"{camera.channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
         try:
-            HalfBall(camera.centre_ego, options.depth_limit_m, GroundPlane(options.ground_height_m))
+            surfaces.append(HalfBall(camera.centre_ego, options.depth_limit_m, ground))
         except GeometryError as error:
             raise RigError(error.what, where=f"{rig.name}, camera {camera.channel}") from error
+    return surfaces
 
 
 def _check_filenames(dataset: Dataset) -> None:
@@ -300,7 +314,7 @@ def _refuse_missing(path: Path, place: str) -> None:
     )
 
 
-def _source_notes(dataset: Dataset, units: list[Unit], channels: set[str], options: Options) -> list[str]:
+def _source_notes(dataset: Dataset, rig: Rig, units: list[Unit], channels: set[str], options: Options) -> list[str]:
     notes = []
     incomplete = sum(len(unit.sources) < len(channels) for unit in units)
     if incomplete:
@@ -308,14 +322,17 @@ def _source_notes(dataset: Dataset, units: list[Unit], channels: set[str], optio
             f"{incomplete} of {len(units)} samples lack some of the cameras {', '.join(sorted(channels))}; "
             "what nothing else shows stays black."
         )
-    outside = {row.calibrated_sensor_token for unit in units for row in unit.sources}
-    below = []
-    for row in dataset.calibrated_sensor.rows:
-        if row.token in outside and row.translation[2] <= options.ground_height_m:
-            below.append(dataset.sensor_of_calibration[row.token].channel)
-    if below:
+    surfaces = _scenes(rig, options)
+    used = {row.calibrated_sensor_token for unit in units for row in unit.sources}
+    outside = {
+        dataset.sensor_of_calibration[row.token].channel
+        for row in dataset.calibrated_sensor.rows
+        if row.token in used and not all(surface.contains(np.array(row.translation)) for surface in surfaces)
+    }
+    if outside:
         notes.append(
-            f"{', '.join(sorted(set(below)))} of the source stand below the assumed ground; check --ground-height."
+            f"The source's {', '.join(sorted(outside))} stand outside of the assumed scene (below the ground, or farther "
+            "than the depth limit from a virtual camera); check --ground-height and --depth-limit."
         )
     return notes
 

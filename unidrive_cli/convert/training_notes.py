@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, consumer_notes
+from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, lidar_notes
 
 
 def training_notes(plan: Plan) -> str:
@@ -39,5 +39,5 @@ def training_notes(plan: Plan) -> str:
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
         f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
     ]
-    lines += [f"- Note: {note}" for note in consumer_notes(rig, plan.dataset)]
+    lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"
