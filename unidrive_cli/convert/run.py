@@ -100,10 +100,17 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
             yield _attempt(job, _frame(plan, unit, skip=skip), skip)
         return
     import joblib
+    from joblib.externals.loky.process_executor import BrokenProcessPool
 
     parallel = joblib.Parallel(n_jobs=plan.options.jobs, return_as="generator_unordered")
     frames: Iterator[Frame | Failure] = (_frame(plan, unit, skip=skip) for unit in units)
-    yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+    try:
+        yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+    except BrokenProcessPool as error:
+        raise UnidriveError(
+            "a worker process was killed, most likely because memory ran out.",
+            hint="The same command continues; try fewer --jobs.",
+        ) from error
 
 
 def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
