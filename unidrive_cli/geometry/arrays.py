@@ -38,8 +38,8 @@ def finite_array(value: Any, shape: tuple[int | None, ...], name: str) -> Float:
 
 def lengths(vectors: Float) -> Float:
     """Euclidean lengths (...) of vectors (..., n); much faster than `np.linalg.norm` where n is small."""
-    squares: Float = np.einsum("...k,...k->...", vectors, vectors)
-    return np.sqrt(squares, out=squares)
+    result: Float = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+    return result
 
 
 def read_only(array: Float) -> Float:

@@ -90,6 +90,8 @@ def rotation_from_quaternion(quaternion: Any, *, unit_tolerance: float | None = 
     """
     quaternion = finite_array(quaternion, (4,), "rotation quaternion (w, x, y, z)")
     norm = float(np.linalg.norm(quaternion))
+    if not np.isfinite(norm):
+        raise GeometryError(f"rotation quaternion {quaternion.tolist()} is far from norm 1.")
     if norm < 1e-6:
         raise GeometryError("rotation quaternion has zero norm; four numbers w, x, y, z of norm 1 were expected.")
     if unit_tolerance is not None and abs(norm - 1.0) > unit_tolerance:

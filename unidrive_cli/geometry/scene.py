@@ -62,7 +62,8 @@ class HalfBall:
         finite_array(self.radius_m, (), "depth limit")
         height = float(self.ground.height_m(centre))
         if height <= 0:
-            raise GeometryError(f"the virtual camera is {-height:g} m below the ground; it must be above it.")
+            place = f"is {-height:g} m below the ground" if height < 0 else "is on the ground"
+            raise GeometryError(f"the virtual camera {place}; it must be above it.")
         if self.radius_m <= height:
             raise GeometryError(
                 f"the depth limit ({self.radius_m:g} m) must be larger than the virtual camera's height "

@@ -42,11 +42,9 @@ class Camera:
     def numbers(self) -> list[object]:
         """All that a picture through this camera depends on, for digests and cache keys."""
         lens = self.lens
-        return [
-            self.channel,
-            [lens.width_px, lens.height_px, lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px],
-            self.ego_from_cam.tolist(),
-        ]
+        intrinsics = [float(number) for number in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
+        pose = (self.ego_from_cam + 0.0).tolist()  # no negative zeros
+        return [self.channel, lens.width_px, lens.height_px, intrinsics, pose]
 
 
 @dataclass(frozen=True, eq=False)

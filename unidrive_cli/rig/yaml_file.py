@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
 from unidrive_cli.errors import GeometryError, RigError
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import MAX_SIDE_PX, Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.model import Camera, Rig
@@ -123,7 +123,7 @@ def _parse_yaml(text: str, source: str) -> Any:
             what = f"{key.group(1) if key else 'a key'} is given twice; channels and keys must be unique."
             raise RigError(what, where=place) from error
         raise RigError(f"is not valid YAML: {problem}.", where=place) from error
-    except (ValueError, RecursionError, AttributeError, TypeError, KeyError) as error:
+    except (ValueError, RecursionError, AttributeError, TypeError, LookupError) as error:
         raise RigError("is not valid YAML for a rig.", where=source) from error
 
 
@@ -147,13 +147,9 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
             where,
             "is not supported by this version: cameras of a rig file are pinholes.",
         )
-    try:
-        lens = _lens(entry, where)
-        position = _numbers(entry, "position", 3, where)
-        position[0] += offset_x_m
-        camera = Camera(channel, lens, pose(_rotation(entry, where), position))
-    except GeometryError as error:
-        raise RigError(error.what, where=where) from error
+    position = _numbers(entry, "position", 3, where)
+    position[0] += offset_x_m
+    camera = Camera(channel, _lens(entry, where), pose(_rotation(entry, where), position))
     height_m = float(ground.height_m(camera.centre_ego))
     if height_m <= 0:
         raise _error(
@@ -173,9 +169,11 @@ def _lens(entry: CommentedMap, where: str) -> Pinhole:
         )
     _exactly_one(entry, "hfov", ("intrinsics",), where)
     if "hfov" in entry:
-        return Pinhole.from_hfov(_number(entry, "hfov", where), width, height)
+        with _named(entry, "hfov", where):
+            return Pinhole.from_hfov(_number(entry, "hfov", where), width, height)
     fx, fy, cx, cy = _numbers(entry, "intrinsics", 4, where)
-    return Pinhole(fx, fy, cx, cy, width, height)
+    with _named(entry, "intrinsics", where):
+        return Pinhole(fx, fy, cx, cy, width, height)
 
 
 def _rotation(entry: CommentedMap, where: str) -> Any:
@@ -184,7 +182,8 @@ def _rotation(entry: CommentedMap, where: str) -> Any:
         for key in ("pitch", "roll"):
             if key in entry:
                 raise _error(entry, key, where, "cannot be given beside rotation, which already says it.")
-        return rotation_from_quaternion(_numbers(entry, "rotation", 4, where), unit_tolerance=1e-3)
+        with _named(entry, "rotation", where):
+            return rotation_from_quaternion(_numbers(entry, "rotation", 4, where), unit_tolerance=1e-3)
     pitch, roll = (_optional_number(entry, key, where) or 0.0 for key in ("pitch", "roll"))
     return rotation_from_yaw_pitch_roll(_number(entry, "yaw", where), pitch, roll)
 
@@ -204,6 +203,8 @@ def _origin_offset(document: CommentedMap, source: str) -> float:
 
 def _check_keys(mapping: CommentedMap, known: Iterable[str], needed: Iterable[str], where: str) -> None:
     known = tuple(known)
+    if mapping.tag.value not in (None, "tag:yaml.org,2002:map"):
+        raise RigError(f"holds the tag {mapping.tag.value}; a rig file has none.", where=where)
     for key in mapping:
         if key not in known:
             close = difflib.get_close_matches(str(key), known, n=1)
@@ -222,6 +223,15 @@ def _exactly_one(entry: CommentedMap, key: str, others: tuple[str, ...], where: 
         raise RigError(f"exactly one of {names} must be given; {what}.", where=where)
 
 
+@contextlib.contextmanager
+def _named(mapping: CommentedMap, key: str, where: str) -> Iterator[None]:
+    """Gives an error of the geometry the key, file and line that its numbers came from."""
+    try:
+        yield
+    except GeometryError as error:
+        raise _error(mapping, key, where, f"does not fit: {error.what}") from error
+
+
 def _error(mapping: Mapping[Any, Any], key: object, where: str, what: str) -> RigError:
     line = ""
     with contextlib.suppress(AttributeError, KeyError, TypeError):
@@ -233,7 +243,10 @@ def _text(mapping: CommentedMap, key: str, where: str) -> str:
     value = mapping[key]
     if not isinstance(value, str | int | float) or isinstance(value, bool) or not str(value).strip():
         raise _error(mapping, key, where, f"must be a text, got {value!r:.60}.")
-    return str(value)
+    text = str(value)
+    if not text.isprintable():
+        raise _error(mapping, key, where, f"must be a text of printable characters, got {text!r:.60}.")
+    return text
 
 
 def _number(mapping: CommentedMap, key: str, where: str) -> float:
@@ -257,8 +270,10 @@ def _optional_number(mapping: CommentedMap, key: str, where: str) -> float | Non
 
 def _whole_number(mapping: CommentedMap, key: str, where: str) -> int:
     number = _number(mapping, key, where)
-    if number != int(number):
-        raise _error(mapping, key, where, f"must be a whole number of pixels, got {number:g}.")
+    if number != int(number) or not 1 <= number <= MAX_SIDE_PX:
+        raise _error(
+            mapping, key, where, f"must be a whole number of pixels from 1 to {MAX_SIDE_PX}, got {number:g}."
+        )
     return int(number)
 
 

@@ -21,6 +21,7 @@ from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.schema import TABLES, Row
 
 R = TypeVar("R", bound=Row)
+_AGAIN = "Unpack or copy the table again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +96,22 @@ def read_table(path: Path, name: str) -> Table[Any]:
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=file) from error
     try:
+        if not data.isascii():
+            data.decode()
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"is not UTF-8 text (byte {error.start}).", where=file, hint=_AGAIN) from error
+    try:
         raw = msgspec.json.decode(data, type=list[msgspec.Raw])
     except msgspec.ValidationError as error:
         raise DatasetError("is not a list of rows.", where=file) from error
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise _malformed(data, file, str(error)) from error
     decode = msgspec.json.Decoder(TABLES[name]).decode
     rows: list[Any] = []
     try:
         for text in raw:
             rows.append(decode(text))
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise _bad_row(raw[len(rows)], len(rows), file, str(error)) from error
     return Table(name, file, rows, list(raw), hashlib.sha256(data).hexdigest())
 
@@ -144,8 +150,8 @@ def changed(raw: bytes | msgspec.Raw, changes: dict[str, Any]) -> bytes:
 
 def _bad_row(text: bytes | msgspec.Raw, index: int, file: str, message: str) -> DatasetError:
     where = f"{file}, row {index}"
-    with contextlib.suppress(msgspec.DecodeError, KeyError, TypeError, RecursionError):
-        where += f", token {msgspec.json.decode(text)['token']}"
+    with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+        where += f", token {json.loads(bytes(text))['token']}"
     match = re.fullmatch(r"(?P<what>.*?)(?: - at `\$\.?(?P<field>.*?)`)?", message, re.DOTALL)
     what, field = (match["what"], match["field"]) if match else (message, None)
     missing = re.fullmatch(r"Object missing required field `(.*)`", what)
@@ -170,9 +176,7 @@ def _malformed(data: bytes, file: str, message: str) -> DatasetError:
             )
     if "truncated" in message:
         message = f"the file ends in the middle after {len(data)} bytes: it was truncated"
-    return DatasetError(
-        f"is not valid JSON: {_decapitalised(message)}.", where=file, hint="Unpack or copy the table again."
-    )
+    return DatasetError(f"is not valid JSON: {_decapitalised(message)}.", where=file, hint=_AGAIN)
 
 
 def _decapitalised(message: str) -> str:
