@@ -64,15 +64,14 @@ def unit_of_work(data: Path, rig: str, folder: Path, *, ego_motion: bool, masks:
         options.masks,
         plan.digest,
     )
+    job.destination.work.mkdir(parents=True)
     frame = plan.frame(plan.units[0])
     round_number = 0
 
     def run() -> None:
         nonlocal round_number
         round_number += 1
-        fresh = Destination(folder / str(round_number))
-        fresh.work.mkdir(parents=True)
-        run_unit(replace(job, destination=fresh), _moved(frame, 1e-6 * round_number) if ego_motion else frame)
+        run_unit(job, _moved(frame, 1e-6 * round_number) if ego_motion else frame)
 
     return run
 
@@ -106,30 +105,31 @@ def main() -> None:
                 chosen.data, chosen.rig, folder / "c", ego_motion=True, masks="frame"
             ),
         }
-        print(json.dumps(_measure(cases, chosen), indent=1))
+        print(json.dumps(_measure(cases, chosen, folder), indent=1))
 
 
-def _measure(cases: dict[str, Callable[[], None]], chosen: argparse.Namespace) -> dict[str, object]:
+def _measure(cases: dict[str, Callable[[], None]], chosen: argparse.Namespace, scratch: Path) -> dict[str, object]:
     plan = make_plan(open_dataset(chosen.data), resolve_rig(chosen.rig)[0], Options())
-    runs = {"opencv decode + encode": codec_floor(plan.frame(plan.units[0])), **cases}
-    seconds: dict[str, list[float]] = {name: [] for name in runs}
-    for name, run in runs.items():
-        # the renderer keeps one rig's tables: warm each case up right before its turns
-        for _ in range(2):
-            run()
+    floor = codec_floor(plan.frame(plan.units[0]))
+    milliseconds: dict[str, dict[str, float]] = {}
+    for name, run in cases.items():
+        seconds: tuple[list[float], list[float]] = ([], [])
+        for warm_up in (run, run, floor):  # the worker keeps one plan's tables, so each case has its own turn
+            warm_up()
         for _ in range(chosen.rounds):
-            for timed, action in (("opencv decode + encode", runs["opencv decode + encode"]), (name, run)):
+            for path in scratch.rglob("*.*g"):  # a conversion does not overwrite pictures either
+                path.unlink()
+            for action, times in zip((floor, run), seconds, strict=True):
                 start = time.process_time()
                 action()
-                seconds[timed].append(time.process_time() - start)
-    medians = {name: statistics.median(values) for name, values in seconds.items()}
-    floor = medians["opencv decode + encode"]
-    result: dict[str, object] = {
-        "opencv": cv2.__version__,
-        "rounds": chosen.rounds,
-        "cpu_ms_per_sample": {name: round(1e3 * value, 1) for name, value in medians.items()},
-        "ratio_to_codec_floor": {name: round(value / floor, 2) for name, value in medians.items()},
-    }
+                times.append(time.process_time() - start)
+        codec, unit = (1e3 * statistics.median(times) for times in seconds)
+        milliseconds[name] = {
+            "codec_ms": round(codec, 1),
+            "unit_ms": round(unit, 1),
+            "ratio": round(unit / codec, 2),
+        }
+    result: dict[str, object] = {"opencv": cv2.__version__, "rounds": chosen.rounds, "cases": milliseconds}
     if chosen.out:
         chosen.out.write_text(json.dumps(result, indent=1) + "\n")
     return result

@@ -66,6 +66,11 @@ def test_t4_names_its_levels() -> None:
     assert levels.added == []
 
 
+def test_of_two_tokens_for_one_level_a_box_keeps_its_own() -> None:
+    levels = VisibilityLevels([Visibility("a", "v80-100"), Visibility("b", "full"), *NUSCENES[:3]])
+    assert [levels.lowered(token, 0.9) for token in ("a", "b")] == ["a", "b"]
+
+
 def test_a_level_that_is_missing_is_added_as_nuscenes_has_it() -> None:
     levels = VisibilityLevels([Visibility("a", "v80-100"), Visibility("b", "v40-60")])
     assert levels.lowered("a", 0.7) == "3"

@@ -153,6 +153,7 @@ SIZE = "width: 1600\n    height: 900"
         ("rear_axle_to_centre: 1.3", "rear_axle_to_centre: yes", 17, TOP, ["rear_axle_to_centre", "number"]),
         ("rear_axle_to_centre: 1.3", "rear_axle_to_centre: true", 17, TOP, ["rear_axle_to_centre", "True"]),
         ("depth_limit: 40", "depth_limit: 0", 18, TOP, ["depth_limit", "positive", "got 0"]),
+        ("depth_limit: 40", "depth_limit: 1.0e+12", 18, TOP, ["depth_limit", "1000000000000"]),
         ("depth_limit: 40", "depth_limit: .inf", 18, TOP, ["depth_limit", "finite number"]),
         ("ground_height: 0.1", "ground_height: low", 19, TOP, ["ground_height", "number", "low"]),
         ("name: hand-made", "name: true", 1, TOP, ["name", "text", "True"]),

@@ -38,9 +38,9 @@ def test_opens_the_small_dataset(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", ["v1.0-mini", "annotation", "v1.01-train", "my own"])
 def test_the_version_folder_is_found_by_what_it_holds(tmp_path: Path, version: str) -> None:
     write(tmp_path, version=version)
-    for other in ("samples", "maps", ".v1.0-old", "v1.0-empty"):
+    write(tmp_path, version=".v1.0-hidden")
+    for other in ("samples", "maps", "v1.0-empty"):
         (tmp_path / other).mkdir()
-    (tmp_path / ".v1.0-old" / "sensor.json").write_text("[]")
     (tmp_path / "sensor.json.txt").write_text("[]")
     assert open_dataset(tmp_path).version == version
     assert open_dataset(tmp_path, version).version == version

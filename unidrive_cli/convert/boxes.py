@@ -59,14 +59,16 @@ def seen_boxes(
     corners = box_geometry.corners(ego_from_box, sizes_wlh_m)
     by_sources = np.zeros(points.shape[:2], dtype=bool)
     for lens, cam_from_ego in sources:
-        by_sources |= lens.project(transform(cam_from_ego, points))[1]
+        ahead = _ahead(cam_from_ego, corners)
+        by_sources[ahead] |= lens.project(transform(cam_from_ego, points[ahead]))[1]
     by_views = np.zeros(points.shape[:2], dtype=bool)
     boxes: list[Box2d] = []
     for index, (camera, mask) in enumerate(views):
         cam_from_ego = inverse(camera.ego_from_cam)
-        by_views |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points), mask)
-        for annotation, bounds in _bounds_2d(camera, transform(cam_from_ego, corners), mask):
-            boxes.append(Box2d(index, annotation, *(round(side, 3) for side in bounds)))
+        ahead = _ahead(cam_from_ego, corners)
+        by_views[ahead] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[ahead]), mask)
+        for place, bounds in _bounds_2d(camera, transform(cam_from_ego, corners[ahead]), mask):
+            boxes.append(Box2d(index, int(ahead[place]), *(round(side, 3) for side in bounds)))
     shown_anywhere = {box.annotation for box in boxes}
     virtual, source = by_views.sum(axis=1), by_sources.sum(axis=1)
     share = np.minimum(virtual / np.maximum(source, 1), 1.0)
@@ -75,6 +77,12 @@ def seen_boxes(
         for annotation in range(count)
     ]
     return shown, boxes
+
+
+def _ahead(cam_from_ego: Float, corners_ego: Float) -> npt.NDArray[np.intp]:
+    """Indices of the boxes (n, 8, 3) that reach at least NEAR_M in front of a camera."""
+    depth = corners_ego @ cam_from_ego[2, :3] + cam_from_ego[2, 3]
+    return np.flatnonzero(depth.max(axis=1) >= NEAR_M)
 
 
 def _on_covered_pixels(lens: Lens, points_cam: Float, mask: npt.NDArray[np.uint8]) -> Bool:
@@ -88,33 +96,46 @@ def _on_covered_pixels(lens: Lens, points_cam: Float, mask: npt.NDArray[np.uint8
 def _bounds_2d(
     camera: Camera, corners_cam: Float, mask: npt.NDArray[np.uint8]
 ) -> Iterator[tuple[int, tuple[float, float, float, float]]]:
-    """(index, left, top, right, bottom) of the boxes (n, 8, 3) that show on covered pixels of a picture."""
+    """(index, (left, top, right, bottom)) of the boxes (n, 8, 3) that show on covered pixels of a picture."""
+    canvas = np.array([camera.lens.width_px, camera.lens.height_px])
+    whole = corners_cam[..., 2].min(axis=1) >= NEAR_M
+    pixels = _pixels(camera, np.where(whole[:, None, None], corners_cam, 1.0))
+    low, high = pixels.min(axis=1), pixels.max(axis=1)
+    beside = (high <= 0).any(axis=1) | (low >= canvas).any(axis=1)
+    inside = (low >= 0).all(axis=1) & (high <= canvas).all(axis=1)
+    for index in np.flatnonzero(~(whole & beside)):
+        if whole[index] and inside[index] and _covered(mask, low[index], high[index]).all():
+            yield int(index), (*low[index].tolist(), *high[index].tolist())
+            continue
+        points = pixels[index]
+        if not whole[index]:
+            points = _pixels(camera, box_geometry.clipped_outline(corners_cam[index], NEAR_M))
+        outline = shapely.convex_hull(shapely.multipoints(points))
+        outline = shapely.intersection(outline, shapely.box(0, 0, *canvas))
+        if isinstance(outline, shapely.Polygon) and not outline.is_empty and _touches(mask, outline):
+            yield int(index), outline.bounds
+
+
+def _pixels(camera: Camera, points_cam: Float) -> Float:
+    """Pixels (..., 2) of points (..., 3) in front of a virtual camera, also beside its picture."""
     lens = camera.lens
-    canvas = np.array([lens.width_px, lens.height_px])
-    depth = corners_cam[..., 2]
-    for index in np.flatnonzero(depth.max(axis=1) >= NEAR_M):
-        whole = depth[index].min() >= NEAR_M
-        points = corners_cam[index] if whole else box_geometry.clipped_outline(corners_cam[index], NEAR_M)
-        pixels = points[:, :2] / points[:, 2:] * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        if (high <= 0).any() or (low >= canvas).any():
-            continue
-        outline = shapely.convex_hull(shapely.multipoints(pixels))
-        if (low < 0).any() or (high > canvas).any():
-            outline = shapely.intersection(outline, shapely.box(0, 0, *canvas))
-        if not isinstance(outline, shapely.Polygon) or outline.is_empty:
-            continue
-        left, top, right, bottom = outline.bounds
-        if _touches(mask, outline):
-            yield int(index), (left, top, right, bottom)
+    pixels: Float = points_cam[..., :2] / points_cam[..., 2:]
+    return pixels * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
+
+
+def _covered(mask: npt.NDArray[np.uint8], low: Float, high: Float) -> npt.NDArray[np.uint8]:
+    """The part of a mask that holds the pixels from `low` to `high`, (2,) each."""
+    (left, top), (right, bottom) = low.astype(int), high.astype(int)
+    return mask[top : bottom + 1, left : right + 1]
 
 
 def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:
-    left, top, right, bottom = (int(side) for side in outline.bounds)
-    part = mask[top : bottom + 1, left : right + 1]
+    """Whether an outline inside the picture holds a pixel of a mask."""
+    low, high = np.array(outline.bounds).reshape(2, 2)
+    part = _covered(mask, low, high)
     if part.all() or not part.any():
         return bool(part.any())
     inside = np.zeros(part.shape, dtype=np.uint8)
-    polygon = np.rint(shapely.get_coordinates(outline) - [left, top]).astype(np.int32)
+    polygon = np.rint(shapely.get_coordinates(outline) - low.astype(int)).astype(np.int32)
     cv2.fillConvexPoly(inside, polygon, (1,))
     return bool((inside & part).any())

@@ -331,8 +331,8 @@ def _source_notes(dataset: Dataset, rig: Rig, units: list[Unit], channels: set[s
     }
     if outside:
         notes.append(
-            f"The source's {', '.join(sorted(outside))} stand outside of the assumed scene (below the ground, or farther "
-            "than the depth limit from a virtual camera); check --ground-height and --depth-limit."
+            f"The source's {', '.join(sorted(outside))} stand outside of the assumed scene (below the ground, or "
+            "farther than the depth limit from a virtual camera); check --ground-height and --depth-limit."
         )
     return notes
 

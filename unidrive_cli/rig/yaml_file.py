@@ -22,6 +22,7 @@ from unidrive_cli.rig.model import Camera, Rig
 
 MAX_FILE_BYTES = 1_000_000
 MAX_CAMERAS = 64
+MAX_NUMBER = 1e9
 MAX_PICTURE_PIXELS = 64_000_000
 _CHANNEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
 _RIG_KEYS = (
@@ -259,8 +260,8 @@ def _as_number(value: object, mapping: CommentedMap, key: str, where: str) -> fl
         number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:
         number = math.nan
-    if not math.isfinite(number) or abs(number) > 1e9:
-        raise _error(mapping, key, where, f"must be a finite number, got {value!r:.60}.")
+    if not abs(number) <= MAX_NUMBER:
+        raise _error(mapping, key, where, f"must be a finite number of at most {MAX_NUMBER:g}, got {value!r:.60}.")
     return number
 
 

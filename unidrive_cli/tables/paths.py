@@ -50,10 +50,7 @@ class Inside:
         check_filename(filename, where)
         path = PurePosixPath(filename)
         full = self._root.joinpath(path)
-        top = path.parts[0]
-        if top not in self._top_folders:
-            self._top_folders[top] = os.path.realpath(self._root / top) if len(path.parts) > 1 else str(full.parent)
-        home = self._top_folders[top]
+        home = self._home(path.parts[0]) if len(path.parts) > 1 else os.path.realpath(self._root)
         folder = str(full.parent)
         if folder not in self._safe_folders:
             self._refuse_outside(folder, home, filename, where)
@@ -61,6 +58,11 @@ class Inside:
         if full.is_symlink():
             self._refuse_outside(str(full), home, filename, where)
         return full
+
+    def _home(self, top: str) -> str:
+        if top not in self._top_folders:
+            self._top_folders[top] = os.path.realpath(self._root / top)
+        return self._top_folders[top]
 
     def _refuse_outside(self, path: str, home: str, filename: str, where: str) -> None:
         real = os.path.realpath(path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +18,9 @@ from unidrive_cli.rig.model import Camera
 from unidrive_cli.warp.choices import Blend
 
 Mask = npt.NDArray[np.uint8]
+
+MIN_SHARE = 1 / 512
+"""Shares of a blend below this are dropped."""
 
 _SEARCH_STEP_RAD = 0.014
 _SEARCH_MARGIN_SINE = 0.1
@@ -114,8 +117,9 @@ class Patch:
 def build_patches(view: VirtualView, sources: Sequence[Source], blend: Blend) -> list[Patch]:
     """The remap tables of one virtual camera: one patch per source that it overlaps with.
 
-    With `nearest`, each pixel belongs to the source with the largest weight, and the patches are
-    cropped to what they win.
+    With `angular`, shares below 1/512 are dropped: they could not change an 8-bit pixel by half a
+    level. With `nearest`, each pixel belongs to the source with the largest weight. The patches are
+    cropped to what remains.
     """
     lens = view.camera.lens
     patches = [
@@ -125,24 +129,40 @@ def build_patches(view: VirtualView, sources: Sequence[Source], blend: Blend) ->
     for patch in patches:
         count[patch.box] += patch.valid
     shared = count > 1
-    if shared.any():
-        total = np.zeros(count.shape, dtype=np.float32)
-        best = np.zeros(count.shape, dtype=np.float32)
-        for patch in patches:
-            _weigh(view, sources[patch.source], patch, shared)
-            total[patch.box] += patch.weight
-            np.maximum(best[patch.box], patch.weight, out=best[patch.box])
-        taken = np.zeros(count.shape, dtype=bool)
-        for patch in patches:
-            if blend == "angular":
-                np.divide(patch.weight, total[patch.box], out=patch.weight, where=patch.valid)
-            else:
-                wins = patch.valid & (patch.weight == best[patch.box]) & ~taken[patch.box]
-                taken[patch.box] |= wins
-                patch.valid, patch.weight = wins, wins.astype(np.float32)
+    if not shared.any():
+        return patches
+    for patch in patches:
+        _weigh(view, sources[patch.source], patch, shared)
     if blend == "nearest":
-        patches = [cropped for patch in patches if (cropped := _cropped(patch)) is not None]
-    return patches
+        _keep_largest(patches, count.shape)
+    else:
+        total = _total_weight(patches, count.shape)
+        for patch in patches:
+            patch.valid &= patch.weight >= MIN_SHARE * total[patch.box]
+            patch.weight[~patch.valid] = 0
+    total = _total_weight(patches, count.shape)
+    for patch in patches:
+        np.divide(patch.weight, total[patch.box], out=patch.weight, where=patch.valid)
+    return [cropped for patch in patches if (cropped := _cropped(patch)) is not None]
+
+
+def _total_weight(patches: Sequence[Patch], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    total = np.zeros(shape, dtype=np.float32)
+    for patch in patches:
+        total[patch.box] += patch.weight
+    return total
+
+
+def _keep_largest(patches: Sequence[Patch], shape: tuple[int, ...]) -> None:
+    """Leaves each pixel to the source with the largest weight; the first of equals."""
+    best = np.zeros(shape, dtype=np.float32)
+    for patch in patches:
+        np.maximum(best[patch.box], patch.weight, out=best[patch.box])
+    taken = np.zeros(shape, dtype=bool)
+    for patch in patches:
+        patch.valid &= (patch.weight == best[patch.box]) & ~taken[patch.box]
+        taken[patch.box] |= patch.valid
+        patch.weight[~patch.valid] = 0
 
 
 def coverage(view: VirtualView, patches: Sequence[Patch]) -> Mask:
@@ -196,10 +216,23 @@ def _weigh(view: VirtualView, source: Source, patch: Patch, shared: Bool) -> Non
     patch.weight[rows, columns] = angular_weights(border_sine, chord)
 
 
+def strips(patch: Patch, rows: int) -> Iterator[Patch]:
+    """Cuts a patch into bands of some rows, each cropped anew: borders that slant waste fewer pixels."""
+    height = len(patch.valid)
+    for start in range(0, height, rows):
+        band = slice(start, min(start + rows, height)), slice(0, patch.valid.shape[1])
+        strip = _part(patch, band)
+        if (cropped := _cropped(strip)) is not None:
+            yield cropped
+
+
 def _cropped(patch: Patch) -> Patch | None:
     box = bounds(patch.valid)
-    if box is None:
-        return None
+    return None if box is None else _part(patch, box)
+
+
+def _part(patch: Patch, box: tuple[slice, slice]) -> Patch:
+    """The rows and columns `box` of a patch."""
     rows, columns = box
     top, left = patch.box[0].start, patch.box[1].start
     return Patch(

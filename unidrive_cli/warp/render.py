@@ -14,8 +14,10 @@ from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, encode_mask
-from unidrive_cli.warp.remap import Mask, Patch, Source, VirtualView, bounds, build_patches, coverage
+from unidrive_cli.warp.remap import Mask, Patch, Source, VirtualView, bounds, build_patches, coverage, strips
 
+_BAND_ROWS = 64
+"""Rows drawn at once: their warped pixels stay in the processor's cache until they are mixed."""
 _NO_SECOND_MAP = np.empty(0, dtype=np.float32)
 
 
@@ -57,12 +59,10 @@ class ViewTables:
         self._shape = (lens.height_px, lens.width_px, 3)
         self.mask: Mask = coverage(view, patches)
         done = np.zeros(self._shape[:2], dtype=np.float32)
-        self._steps = [_Step.after(done, patch) for patch in patches]
-
-    @property
-    def remaps(self) -> int:
-        """How many remaps one picture takes."""
-        return len(self._steps)
+        self.sources = [patch.source for patch in patches]
+        bands = [band for patch in patches for band in strips(patch, _BAND_ROWS)]
+        self._steps = [_Step.after(done, band) for band in bands]
+        self._scratch_bytes = max((3 * band.valid.size for band in bands), default=0)
 
     @cached_property
     def mask_png(self) -> bytes:
@@ -77,8 +77,9 @@ class ViewTables:
     def render(self, pictures: Sequence[Picture]) -> Picture:
         """The virtual picture (H, W, 3) uint8 of the sources' pictures; black where none sees the pixel."""
         canvas = np.zeros(self._shape, dtype=np.uint8)
+        scratch = np.empty(self._scratch_bytes, dtype=np.uint8)
         for step in self._steps:
-            step.draw(pictures[step.source], canvas)
+            step.draw(pictures[step.source], canvas, scratch)
         return canvas
 
 
@@ -109,7 +110,7 @@ class _Step:
         source: index of the source.
         box: rows and columns of the virtual picture.
         whole, fraction: source coordinates in OpenCV's fixed-point form (1/32 pixel).
-        fresh: (h, w) uint8, non-zero where this source is the first; None where it is everywhere.
+        fresh: (h, w) uint8, non-zero where this source is the first; None where it is so everywhere.
         mix: the pixels where it is not.
     """
 
@@ -141,15 +142,18 @@ class _Step:
             mix,
         )
 
-    def draw(self, picture: Picture, canvas: Picture) -> None:
-        """Draws the source `picture` (h, w, 3) into its part of `canvas` (H, W, 3)."""
+    def draw(self, picture: Picture, canvas: Picture, scratch: Picture) -> None:
+        """Draws the source `picture` (h, w, 3) into its part of `canvas` (H, W, 3).
+
+        `scratch` is memory (n,) for the warped part: taking it anew for every source costs page faults.
+        """
         target = canvas[self.box]
-        warped = cv2.remap(picture, self.whole, self.fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        alone = self.fresh is None and self.mix is None
+        warped = target if alone else scratch[: target.size].reshape(target.shape)
+        cv2.remap(picture, self.whole, self.fraction, cv2.INTER_LINEAR, dst=warped, borderMode=cv2.BORDER_REPLICATE)
         if self.mix is not None:
             shared = target[self.mix.box]
             mixed = cv2.blendLinear(shared, warped[self.mix.box], self.mix.weight_before, self.mix.weight)
             cv2.copyTo(mixed, self.mix.where, shared)
-        if self.fresh is None:
-            target[...] = warped
-        else:
+        if self.fresh is not None:
             cv2.copyTo(warped, self.fresh, target)
