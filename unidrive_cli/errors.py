@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class UnidriveError(Exception):
     """Root of all errors that a user can act on.
@@ -26,11 +29,6 @@ class UnidriveError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild, (type(self), self.what, self.where, self.hint)
-
-    def at(self, where: str, hint: str = "") -> UnidriveError:
-        """The same error with an outer place put before its own, and a hint where it has none."""
-        place = f"{where}: {self.where}" if self.where else where
-        return type(self)(self.what, where=place, hint=self.hint or hint)
 
 
 def _rebuild(kind: type[UnidriveError], what: str, where: str, hint: str) -> UnidriveError:
@@ -75,3 +73,9 @@ class OutputError(UnidriveError):
     """The destination cannot be written, or belongs to somebody else."""
 
     exit_code = 4
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`Did you mean X?` for the nearest known name, or an empty text where none is near."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"Did you mean {close[0]}?" if close else ""

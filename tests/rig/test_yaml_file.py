@@ -93,10 +93,10 @@ SIZE = "width: 1600\n    height: 900"
     ("old", "new", "line", "camera", "words"),
     [
         # unknown keys
-        ("    yaw: 0", "    yaww: 0", 9, FRONT, ["yaww is not a known key", "did you mean yaw?"]),
-        ("hfov: 90", "Hfov: 90", 7, FRONT, ["Hfov", "did you mean hfov?"]),
-        ("origin:", "orgin:", 16, TOP, ["orgin", "did you mean origin?"]),
-        ("name: hand-made", "name: a\n3: b", 2, TOP, ["3 is not a known key", "known keys are name, "]),
+        ("    yaw: 0", "    yaww: 0", 9, FRONT, ["yaww is not a known key", "Did you mean yaw?"]),
+        ("hfov: 90", "Hfov: 90", 7, FRONT, ["Hfov", "Did you mean hfov?"]),
+        ("origin:", "orgin:", 16, TOP, ["orgin", "Did you mean origin?"]),
+        ("name: hand-made", "name: a\n3: b", 2, TOP, ["3 is not a known key", "Known keys are name, "]),
         ("name: hand-made", "name: a\n? [x, y]\n: b", 2, TOP, ["is not a known key"]),
         # missing keys
         ("name: hand-made\n", "", None, TOP, ["key name is missing"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import sys
 import traceback
@@ -12,7 +11,7 @@ from typing import Any, TypeVar
 
 import typer
 
-from unidrive_cli.errors import UnidriveError, UsageError
+from unidrive_cli.errors import UnidriveError, UsageError, did_you_mean
 
 INTERRUPTED = 130
 
@@ -58,17 +57,23 @@ def read_config(context: typer.Context, path: Path | None) -> Path | None:
             values = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, YAMLError, ValueError, RecursionError) as error:
             raise UsageError(f"--config cannot be read: {str(error).splitlines()[0]}.", where=str(path)) from error
-        known = {parameter.name: parameter for parameter in context.command.params if parameter.name != "config"}
+        known = {
+            name.lstrip("-"): parameter
+            for parameter in context.command.params
+            for name in parameter.opts
+            if name.startswith("--") and name not in ("--config", "--help")
+        }
         if not isinstance(values, dict):
             raise UsageError("--config must be a mapping of option names to values.", where=str(path))
         defaults = {}
         for key, value in values.items():
-            name = str(key).replace("-", "_")
+            name = str(key).replace("_", "-")
             if name not in known:
-                close = difflib.get_close_matches(name, [item for item in known if item], n=1)
-                guess = f" Did you mean {close[0].replace('_', '-')}?" if close else ""
-                raise UsageError(f"{key} is not an option of {context.command.name}.{guess}", where=str(path))
-            defaults[name] = value
+                sentence = f"{key} is not an option of {context.command.name}."
+                raise UsageError(sentence, where=str(path), hint=did_you_mean(str(key), known))
+            parameter = known[name]
+            several = getattr(parameter, "multiple", False) and not isinstance(value, list)
+            defaults[str(parameter.name)] = [value] if several else value
     except UsageError as error:
         _fail(str(error), error.exit_code, debug=False)
     context.default_map = {**(context.default_map or {}), **defaults}

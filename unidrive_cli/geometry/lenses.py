@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -72,8 +73,8 @@ class Pinhole:
         """
         if not 0 < hfov_deg < 180:
             raise GeometryError(f"horizontal field of view must be inside (0, 180) degrees, got {hfov_deg:g}.")
-        focal_px = width_px / (2 * np.tan(np.deg2rad(hfov_deg) / 2))
-        return cls(float(focal_px), float(focal_px), (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
+        focal_px = width_px / (2 * math.tan(math.radians(hfov_deg) / 2))
+        return cls(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)
 
     @classmethod
     def from_matrix(cls, intrinsic: Any, width_px: int, height_px: int) -> Pinhole:

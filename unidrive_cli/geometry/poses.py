@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -136,14 +137,16 @@ def quaternion_from_rotation(rotation: Float) -> Float:
 def rotation_from_yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Float:
     """`ego_from_cam` rotation (3, 3) of a rig file's angles in degrees: Rz(yaw) Ry(-pitch) Rx(roll) R0.
 
-    Positive yaw turns left, positive pitch looks up.
+    Positive yaw turns left, positive pitch looks up. The product is written out in plain floats, so
+    that every processor gives the same bits.
     """
-    yaw, pitch, roll = np.deg2rad([yaw_deg, pitch_deg, roll_deg])
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
-    tilt = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1.0, 0], [np.sin(pitch), 0, np.cos(pitch)]])
-    lean = np.array([[1.0, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-    rotation: Float = turn @ tilt @ lean @ EGO_FROM_LEVEL_CAM
-    return rotation
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(math.radians(angle)), math.sin(math.radians(angle))) for angle in (yaw_deg, pitch_deg, roll_deg)
+    )
+    forward = (cy * cp, sy * cp, sp)
+    left = (-sy * cr - cy * sp * sr, cy * cr - sy * sp * sr, cp * sr)
+    up = (sy * sr - cy * sp * cr, -cy * sr - sy * sp * cr, cp * cr)
+    return np.array([[-le, -u, f] for le, u, f in zip(left, up, forward, strict=True)])
 
 
 def yaw_pitch_roll_from_rotation(rotation: Float) -> tuple[float, float, float]:

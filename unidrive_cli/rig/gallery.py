@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
-from unidrive_cli.errors import RigError
+from unidrive_cli.errors import RigError, did_you_mean
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.rig.yaml_file import load_rig
 
@@ -30,11 +29,9 @@ def load_gallery_rig(name: str) -> Rig:
     """
     names = gallery_names()
     if name not in names:
-        close = difflib.get_close_matches(name, names, n=1)
-        guess = f"Did you mean {close[0]}? " if close else ""
         raise RigError(
             "is neither a rig file, nor a dataset folder, nor a shipped rig.",
-            where=name,
-            hint=f"{guess}Shipped rigs: {', '.join(names)}.",
+            where=name[:200],
+            hint=f"{did_you_mean(name, names)} Shipped rigs: {', '.join(names)}.".strip(),
         )
     return load_rig(gallery_folder() / f"{name}.yaml")

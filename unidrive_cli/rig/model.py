@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
+from functools import cached_property
 
-from unidrive_cli.errors import RigError
+import numpy as np
+
+from unidrive_cli.errors import GeometryError, RigError
 from unidrive_cli.geometry.arrays import Float, read_only
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import check_pose, yaw_pitch_roll_from_rotation
+
+CHANNEL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
+"""Channel names become folder names."""
+NO_CHANNEL_NAME = "is not a channel name: letters, digits, _ and - were expected, 64 at most."
+_DIGEST_DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +36,8 @@ class Camera:
     ego_from_cam: Float
 
     def __post_init__(self) -> None:
+        if not CHANNEL_NAME.fullmatch(self.channel):
+            raise GeometryError(f"{self.channel[:80]!r} {NO_CHANNEL_NAME}")
         object.__setattr__(self, "ego_from_cam", read_only(check_pose(self.ego_from_cam, "ego_from_cam")))
 
     @property
@@ -40,10 +51,13 @@ class Camera:
         return yaw_pitch_roll_from_rotation(self.ego_from_cam[:3, :3])
 
     def numbers(self) -> list[object]:
-        """All that a picture through this camera depends on, for digests and cache keys."""
+        """All that a picture through this camera depends on, for digests.
+
+        Rounded to 1e-9 (metres, pixels), so that processors whose last bits differ agree.
+        """
         lens = self.lens
-        intrinsics = [float(number) for number in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
-        pose = (self.ego_from_cam + 0.0).tolist()  # no negative zeros
+        intrinsics = [round(float(n), _DIGEST_DIGITS) for n in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
+        pose = (np.round(self.ego_from_cam, _DIGEST_DIGITS) + 0.0).tolist()  # no negative zeros
         return [self.channel, lens.width_px, lens.height_px, intrinsics, pose]
 
 
@@ -77,7 +91,7 @@ class Rig:
         """Channel names in the rig's order."""
         return tuple(camera.channel for camera in self.cameras)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 (hex) of the cameras' channels, lenses and poses."""
         text = json.dumps([camera.numbers() for camera in self.cameras], separators=(",", ":"))

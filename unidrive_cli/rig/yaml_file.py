@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,17 +13,16 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
-from unidrive_cli.errors import GeometryError, RigError
+from unidrive_cli.errors import GeometryError, RigError, did_you_mean
 from unidrive_cli.geometry.lenses import MAX_SIDE_PX, Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from unidrive_cli.geometry.scene import GroundPlane
-from unidrive_cli.rig.model import Camera, Rig
+from unidrive_cli.rig.model import CHANNEL_NAME, NO_CHANNEL_NAME, Camera, Rig
 
 MAX_FILE_BYTES = 1_000_000
 MAX_CAMERAS = 64
 MAX_NUMBER = 1e9
 MAX_PICTURE_PIXELS = 64_000_000
-_CHANNEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
 _RIG_KEYS = (
     "name",
     "description",
@@ -129,13 +127,8 @@ def _parse_yaml(text: str, source: str) -> Any:
 
 
 def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: GroundPlane, source: str) -> Camera:
-    if not isinstance(channel, str) or not _CHANNEL.fullmatch(channel):
-        raise _error(
-            entries,
-            channel,
-            source,
-            "is not a channel name: letters, digits, _ and - were expected, 64 at most.",
-        )
+    if not isinstance(channel, str) or not CHANNEL_NAME.fullmatch(channel):
+        raise _error(entries, channel, source, NO_CHANNEL_NAME)
     where = f"{source}, camera {channel}"
     entry = entries[channel]
     if not isinstance(entry, CommentedMap):
@@ -208,9 +201,8 @@ def _check_keys(mapping: CommentedMap, known: Iterable[str], needed: Iterable[st
         raise RigError(f"holds the tag {mapping.tag.value}; a rig file has none.", where=where)
     for key in mapping:
         if key not in known:
-            close = difflib.get_close_matches(str(key), known, n=1)
-            guess = f"did you mean {close[0]}?" if close else f"known keys are {', '.join(known)}."
-            raise _error(mapping, key, where, f"is not a known key; {guess}")
+            guess = did_you_mean(str(key), known) or f"Known keys are {', '.join(known)}."
+            raise _error(mapping, key, where, f"is not a known key. {guess}")
     for key in needed:
         if key not in mapping:
             raise RigError(f"the key {key} is missing.", where=where)
@@ -221,7 +213,8 @@ def _exactly_one(entry: CommentedMap, key: str, others: tuple[str, ...], where: 
     if len(given) != 1:
         names = " or ".join((key, *others))
         what = "one is missing" if not given else "both are given"
-        raise RigError(f"exactly one of {names} must be given; {what}.", where=where)
+        line = f", line {entry.lc.line}"
+        raise RigError(f"exactly one of {names} must be given; {what}.", where=f"{where}{line}")
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 from collections import defaultdict
@@ -12,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from unidrive_cli.errors import DatasetError, GeometryError, UsageError
+from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you_mean
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
@@ -290,6 +289,5 @@ def _pose(table: Table[Any], row: CalibratedSensor | EgoPose | SampleAnnotation)
 
 def _refuse_unknown(wanted: set[str], known: list[str], option: str, kind: str) -> None:
     for name in sorted(wanted - set(known)):
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"Did you mean {close[0]}?" if close else f"There are: {', '.join(known[:12])}."
+        hint = did_you_mean(name, known) or f"There are: {', '.join(known[:12])}."
         raise UsageError(f"{option} {name}: there is no such {kind}.", hint=hint)
