@@ -29,9 +29,10 @@ import numpy as np
 from unidrive_cli.convert.destination import Destination
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
-from unidrive_cli.convert.units import Frame, FrameSource, Job, run_unit
+from unidrive_cli.convert.units import Frame, Job, run_unit
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.tables.rig_of_dataset import resolve_rig
+from unidrive_cli.warp.remap import Source
 
 DATA = Path(__file__).parents[1] / ".." / "shared" / "data" / "nuscenes-onekeyframe"
 QUALITY = 95
@@ -39,7 +40,7 @@ QUALITY = 95
 
 def codec_floor(frame: Frame) -> Callable[[], None]:
     """Decodes every source picture and encodes as many of the same size, with OpenCV."""
-    files = [np.fromfile(source.path, np.uint8) for source in frame.sources]
+    files = [np.fromfile(path, np.uint8) for path in frame.paths]
     parameters = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
 
     def run() -> None:
@@ -82,7 +83,7 @@ def _moved(frame: Frame, metres: float) -> Frame:
     for source in frame.sources:
         cam_from_ego = source.cam_from_ego.copy()
         cam_from_ego[0, 3] += metres
-        sources.append(FrameSource(source.path, source.lens, cam_from_ego))
+        sources.append(Source(source.lens, cam_from_ego))
     return replace(frame, sources=tuple(sources))
 
 

@@ -12,7 +12,6 @@ from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.convert.units import read_picture
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import open_dataset
-from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer, ViewTables
 
 
@@ -35,8 +34,8 @@ def render_samples(root: Path, rig: Rig, version: str | None = None, **options: 
     rendered = []
     for unit in plan.units:
         frame = plan.frame(unit)
-        sources = [read_picture(source) for source in frame.sources]
-        tables = renderer.tables([Source(source.lens, source.cam_from_ego) for source in frame.sources])
+        sources = [read_picture(path, source) for path, source in zip(frame.paths, frame.sources, strict=True)]
+        tables = renderer.tables(frame.sources)
         rendered.append(
             Rendered(
                 unit.sample.token,

@@ -9,6 +9,7 @@ from unidrive_cli.convert.boxes import seen_boxes
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import inverse, pose, rotation_from_yaw_pitch_roll
 from unidrive_cli.rig.model import Camera
+from unidrive_cli.warp.remap import Source
 
 # A level 90-degree camera at 1.5 m that looks ahead: at x metres its picture is 2x wide and x high.
 AHEAD = Camera("V", Pinhole.from_hfov(90, 800, 400), pose(rotation_from_yaw_pitch_roll(0, 0, 0), [0.0, 0, 1.5]))
@@ -19,7 +20,7 @@ def shown(
     centre_m: list[float], size_wlh_m: list[float], mask: np.ndarray = ALL, source: Camera = AHEAD
 ) -> tuple[float, list[tuple[float, float, float, float]]]:
     boxes_pose = pose(np.eye(3), centre_m)[None]
-    sources = [(source.lens, inverse(source.ego_from_cam))]
+    sources = [Source(source.lens, inverse(source.ego_from_cam))]
     share, boxes = seen_boxes(boxes_pose, np.array([size_wlh_m]), sources, [(AHEAD, mask)])
     return share[0], [(box.left, box.top, box.right, box.bottom) for box in boxes]
 

@@ -130,13 +130,14 @@ def test_the_estimate_is_of_the_right_size(drive: Path) -> None:
 
 def test_the_digest_names_what_the_output_depends_on_and_nothing_else(drive: Path) -> None:
     digest = plan_of(drive).digest
-    assert plan_of(drive, jobs=4, verify="full", link="copy").digest == digest
+    assert plan_of(drive, jobs=4, verify="full", on_error="skip").digest == digest
     others = [
         plan_of(drive, depth_limit_m=35.0),
         plan_of(drive, blend="nearest"),
         plan_of(drive, "6x70"),
         plan_of(drive, ego_motion=False),
         plan_of(drive, quality=90),
+        plan_of(drive, link="copy"),
         plan_of(drive, cameras=("CAM_FRONT",)),
     ]
     edit(drive, "log", lambda rows: [{**row, "vehicle": "another"} for row in rows])

@@ -7,9 +7,12 @@ import numpy as np
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.dataset import Dataset
 
+MAX_COORDINATE_M = 1e9
+MAX_SIZE_M = 1e4
+
 
 def check_poses(dataset: Dataset) -> None:
-    """POSE-1: every rotation has a norm, every translation is finite; no box has a negative size.
+    """POSE-1: every rotation has a norm, no translation is absurd; boxes have sizes.
 
     Raises:
         DatasetError: naming the first row that breaks it.
@@ -27,14 +30,15 @@ def check_poses(dataset: Dataset) -> None:
                 f"{list(row.rotation)} has norm {norms[bad[0]]:g}; a unit quaternion w, x, y, z was expected.",
                 where=table.place(row, "rotation"),
             )
-        bad = np.flatnonzero(~np.isfinite(translations).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(translations) <= MAX_COORDINATE_M).all(axis=1))
         if len(bad):
             raise DatasetError(
-                "must be three finite numbers in metres.", where=table.place(rows[bad[0]], "translation")
+                f"must be three numbers of at most {MAX_COORDINATE_M:g} metres.",
+                where=table.place(rows[bad[0]], "translation"),
             )
     for box in dataset.sample_annotation.rows:
-        if min(box.size) < 0:
+        if not 0 <= min(box.size) <= max(box.size) <= MAX_SIZE_M:
             raise DatasetError(
-                f"{list(box.size)}: width, length and height in metres cannot be negative.",
+                f"{list(box.size)}: width, length and height must be from 0 to {MAX_SIZE_M:g} metres.",
                 where=dataset.sample_annotation.place(box, "size"),
             )

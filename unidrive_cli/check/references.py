@@ -71,6 +71,12 @@ def check_references(dataset: Dataset) -> Iterator[Finding]:
                 error=not mendable,
             )
 
+    for annotation in dataset.sample_annotation.rows:
+        for token in annotation.attribute_tokens:
+            if token not in dataset.attribute.by_token:
+                place = dataset.sample_annotation.place(annotation, "attribute_tokens")
+                yield Finding("REF-1", place, f"points to {token!r}, which is not in attribute.json.")
+
 
 def _may_be_empty(table: str, field: str, row: object, token: str | None) -> bool:
     if token:

@@ -89,13 +89,19 @@ def convert_command(
 
     Every option can also be given as UNIDRIVE_<OPTION> in the environment, or in the --config file.
     """
-    from unidrive_cli.convert.destination import check_apart, check_destination, free_bytes
-    from unidrive_cli.convert.plan import make_plan
+    from unidrive_cli.convert.destination import (
+        check_apart,
+        check_destination,
+        free_bytes,
+        resolved_destination,
+        same_device,
+    )
+    from unidrive_cli.convert.plan import make_plan, picture_size_of
     from unidrive_cli.convert.run import convert
     from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
 
-    virtual_rig, rig_notes = resolve_rig(rig)
+    virtual_rig, rig_notes = resolve_rig(rig, size_of=picture_size_of)
     options = Options(
         depth_limit_m=_first(depth_limit, virtual_rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
         ground_height_m=_first(ground_height, virtual_rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
@@ -117,8 +123,8 @@ def convert_command(
     for note in rig_notes:
         typer.echo(f"note: {note}", err=True)
     if dry_run:
-        check_destination(dst, plan.identity, force=force)
-        _say_plan(plan, dst, free_bytes(dst), as_json)
+        check_destination(resolved_destination(dst), plan.identity, force=force)
+        _say_plan(plan, dst, as_json, free=free_bytes(dst), links=same_device(src, dst))
         return
     with Progress("samples", sys.stderr) as progress:
         summary = convert(plan, dst, force=force, progress=progress)
@@ -136,11 +142,12 @@ def _first(*values: float | None) -> float:
     return next(value for value in values if value is not None)
 
 
-def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
+def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -> None:
     estimate = plan.estimated_bytes()
     scenes = len({unit.scene.token for unit in plan.units})
     sources = sum(len(unit.sources) for unit in plan.units)
     annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
+    copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
     document = {
         "samples": len(plan.units),
         "scenes": scenes,
@@ -150,6 +157,8 @@ def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
         "estimated_bytes": estimate,
         "free_bytes": free,
         "rig": plan.rig.name,
+        "picture_sizes": sorted({f"{c.lens.width_px}x{c.lens.height_px}" for c in plan.rig.cameras}),
+        "copies": copies,
         "notes": plan.notes,
     }
     if as_json:
@@ -164,6 +173,9 @@ def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
         f"writes {plural(plan.picture_count, 'picture')}, about {human_bytes(estimate)} "
         f"({human_bytes(free)} free); {plural(annotations, 'annotation')}"
     )
+    if copies:
+        why = "" if links else ": DST is on another file system, where links cannot lead"
+        typer.echo(f"files that do not change (lidar, radar, maps) are copied{why}; their size is not counted above")
     for note in plan.notes:
         typer.echo(f"note: {note}")
     typer.echo("nothing was written (--dry-run)")
@@ -172,7 +184,7 @@ def _say_plan(plan: Plan, dst: Path, free: int, as_json: bool) -> None:
 def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
     counts = summary.counts
     if summary.already_complete:
-        typer.echo(f"{dst} already holds this conversion, complete; nothing was done.")
+        typer.echo(f"{dst} already holds this conversion, complete; it was verified again, and nothing was changed.")
         return
     pictures = counts.samples * len(plan.rig.cameras)
     typer.echo(

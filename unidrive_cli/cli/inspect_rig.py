@@ -20,16 +20,20 @@ def inspect_rig_command(
     rig: str = typer.Argument(
         ..., metavar="RIG_OR_DATASET", help="A rig file, a shipped rig's name, or a dataset folder."
     ),
+    version: str | None = typer.Option(
+        None, "--version", help="Version folder, where the dataset has several.", show_default=False
+    ),
     scene: list[str] = SCENES,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
 ) -> None:
     """Show a rig's cameras, and what they see of the circle round the car."""
+    from unidrive_cli.convert.plan import picture_size_of
     from unidrive_cli.rig.inspection import inspect_rig
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
 
-    found, notes = resolve_rig(rig, tuple(scene))
+    found, notes = resolve_rig(rig, version, tuple(scene), picture_size_of)
     facts = inspect_rig(found)
     if as_json:
         typer.echo(json.dumps({**asdict(facts), "notes": notes}))

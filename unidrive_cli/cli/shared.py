@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable
@@ -23,10 +25,15 @@ def guarded(command: Command) -> Command:
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
+        signal.signal(signal.SIGTERM, _interrupt)
         try:
             command(*args, **kwargs)
+            sys.stdout.flush()
         except UnidriveError as error:
             _fail(str(error), error.exit_code, debug=kwargs.get("debug", False))
+        except BrokenPipeError:
+            sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 (nobody reads on: not an error)
+            raise typer.Exit(0) from None
         except KeyboardInterrupt:
             _fail("interrupted. The same command continues where this one stopped.", INTERRUPTED, debug=False)
         except Exception as error:
@@ -38,10 +45,15 @@ def guarded(command: Command) -> Command:
     return run  # type: ignore[return-value]
 
 
+def _interrupt(signal_number: int, frame: object) -> None:
+    """SIGTERM (batch systems, containers) ends a run as Ctrl-C does: workers stopped, resumable."""
+    raise KeyboardInterrupt
+
+
 def _fail(sentence: str, exit_code: int, *, debug: bool) -> None:
     if debug:
         traceback.print_exc(file=sys.stderr)
-    typer.echo(f"unidrive: {sentence}", err=True)
+    typer.echo(f"unidrive: {sentence}".encode(errors="backslashreplace").decode(), err=True)
     raise typer.Exit(exit_code)
 
 

@@ -15,6 +15,7 @@ from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse, transform
 from unidrive_cli.rig.model import Camera
+from unidrive_cli.warp.remap import Source
 
 NEAR_M = 0.1
 _GRID = box_geometry.volume_grid(5)
@@ -35,21 +36,21 @@ class Box2d(msgspec.Struct, frozen=True, array_like=True):
 def seen_boxes(
     ego_from_box: Float,
     sizes_wlh_m: Float,
-    sources: Sequence[tuple[Lens, Float]],
+    witnesses: Sequence[Source],
     views: Sequence[tuple[Camera, npt.NDArray[np.uint8]]],
 ) -> tuple[list[float], list[Box2d]]:
-    """What the virtual rig shows of each box, beside what the source cameras saw.
+    """What the virtual rig shows of each box, beside what the real cameras saw.
 
     The shares are of a box's volume, on a regular grid of 125 points; occlusion is not known here.
 
     Args:
         ego_from_box: (n, 4, 4) box poses in the reference ego frame.
         sizes_wlh_m: (n, 3).
-        sources: lens and `cam_from_ego` of each source picture.
+        witnesses: the real cameras that took a picture.
         views: virtual cameras with their coverage masks.
 
     Returns:
-        Per box, (seen by the virtual rig) / (seen by the sources), at most 1, and 0 only where no
+        Per box, (seen by the virtual rig) / (seen by the real cameras), at most 1, and 0 only where no
         covered virtual pixel shows the box; and the 2D boxes on covered pixels.
     """
     count = len(sizes_wlh_m)
@@ -58,9 +59,9 @@ def seen_boxes(
     points = box_geometry.grid(ego_from_box, sizes_wlh_m, _GRID)
     corners = box_geometry.corners(ego_from_box, sizes_wlh_m)
     by_sources = np.zeros(points.shape[:2], dtype=bool)
-    for lens, cam_from_ego in sources:
-        ahead = _ahead(cam_from_ego, corners)
-        by_sources[ahead] |= lens.project(transform(cam_from_ego, points[ahead]))[1]
+    for source in witnesses:
+        ahead = _ahead(source.cam_from_ego, corners)
+        by_sources[ahead] |= source.lens.project(transform(source.cam_from_ego, points[ahead]))[1]
     by_views = np.zeros(points.shape[:2], dtype=bool)
     boxes: list[Box2d] = []
     for index, (camera, mask) in enumerate(views):

@@ -10,13 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from unidrive_cli.errors import OutputError, UsageError
+from unidrive_cli.errors import DatasetError, OutputError, UsageError
 
 PROVENANCE = "unidrive.json"
 RUN = "run.json"
+TRAINING = "TRAINING.md"
 WORK = ".unidrive"
+KEPT_WORK = ".unidrive-done"
 RECEIPTS = "receipts"
+PLAN = "plan.json"
 MARKER = "UNFINISHED.txt"
+MASKS = "masks"
+RESERVED = (PROVENANCE, RUN, TRAINING, WORK, KEPT_WORK, MARKER, MASKS)
+"""Names at the top of DST that no file of the source may take."""
 _MARKER_TEXT = "unidrive convert has not finished here. Run the same command again to complete this dataset.\n"
 
 
@@ -25,22 +31,32 @@ class Destination:
     """DST and the folders that the conversion keeps in it while it is not finished.
 
     Attributes:
-        root: DST.
-        made: whether this run made the folder; otherwise it was there, empty.
+        root: DST, an absolute path without links.
+        made: the topmost folder that this run made for it; None where DST was there.
+        started: whether this run put the first things into it.
     """
 
     root: Path
-    made: bool = False
+    made: Path | None = None
+    started: bool = False
 
     @property
     def work(self) -> Path:
-        """Receipts, the plan and the tables before they are verified; gone when finished."""
+        """Receipts, the plan and the tables before they are verified."""
         return self.root / WORK
 
     @property
-    def receipts(self) -> Path:
-        """One file per finished unit."""
-        return self.work / RECEIPTS
+    def kept_work(self) -> Path:
+        """What becomes of `work` in the one step that finishes a dataset.
+
+        Kept where samples were left out, so that the same command tries those again; removed otherwise.
+        """
+        return self.root / KEPT_WORK
+
+    @property
+    def finished(self) -> bool:
+        """Whether this is a dataset of ours that was completed and verified."""
+        return (self.root / PROVENANCE).is_file() and not self.work.exists()
 
     def write(self, name: str, data: bytes) -> None:
         """Writes a file below DST, whole or not at all: in the work folder first, then renamed.
@@ -52,7 +68,7 @@ class Destination:
             OutputError: it cannot be written.
         """
         path = self.root / name
-        temporary = self.work / f"{path.name}.{os.getpid()}.part"
+        temporary = self.work / f"{path.name[:100]}.{os.getpid()}.part"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_bytes(data)
@@ -66,49 +82,73 @@ class Destination:
                 hint="When that is mended, the same command continues.",
             ) from error
 
-    @property
-    def finished(self) -> bool:
-        """Whether this is a dataset of ours that was completed and verified."""
-        return (self.root / PROVENANCE).is_file() and not self.work.exists()
-
 
 def check_apart(source: Path, destination: Path) -> None:
     """Refuses a destination that is the source, lies inside it, or holds it.
 
+    Folders at the top of the source may be links to other disks; their targets count too.
+
     Raises:
         UsageError: it does.
+        DatasetError, OutputError: a path that cannot be followed.
     """
-    src, dst = source.resolve(), destination.resolve()
-    if src == dst or src in dst.parents:
-        raise UsageError(f"DST {destination} is inside SRC {source}; the source is never written to.")
-    if dst in src.parents:
-        raise UsageError(f"SRC {source} is inside DST {destination}; choose another DST.")
+    try:
+        tops = [entry for entry in source.iterdir() if entry.is_symlink()] if source.is_dir() else []
+        places = [source, *tops]
+        sources = [place.resolve() for place in places]
+    except (OSError, RuntimeError) as error:
+        raise DatasetError(f"cannot be read: {error}.", where=str(source)) from error
+    dst = resolved_destination(destination)
+    for place, src in zip(places, sources, strict=True):
+        if src == dst or src in dst.parents:
+            raise UsageError(f"DST {destination} is inside SRC {place}; the source is never written to.")
+        if dst in src.parents:
+            raise UsageError(f"SRC {place} is inside DST {destination}; choose another DST.")
+
+
+def resolved_destination(root: Path) -> Path:
+    """DST as an absolute path without links.
+
+    Raises:
+        OutputError: a link that leads to itself, or a name that cannot be.
+    """
+    try:
+        path = root.resolve()
+        path.exists()
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"cannot be used: {reason}.", where=str(root)[:200]) from error
+    return path
 
 
 def free_bytes(destination: Path) -> int:
     """Free space where the destination is or would be."""
-    place = destination.absolute()
-    while not place.exists():
-        place = place.parent
-    return shutil.disk_usage(place).free
+    return shutil.disk_usage(_existing(resolved_destination(destination))).free
+
+
+def same_device(source: Path, destination: Path) -> bool:
+    """Whether hard links from the source to the destination are possible at all."""
+    return source.stat().st_dev == _existing(resolved_destination(destination)).stat().st_dev
 
 
 def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> bool:
     """Whether DST already holds this very conversion, whole or in part.
 
+    Args:
+        root: `resolved_destination`.
+
     Raises:
         OutputError: DST is a file, or a folder of somebody else's.
         UsageError: DST holds a conversion with other options, and `force` is not given.
     """
-    if not root.exists() and not root.is_symlink():
-        return False
-    if not root.is_dir():
-        raise OutputError("is a file; a folder was expected.", where=str(root))
-    destination = Destination(root)
     try:
-        if not any(root.iterdir()):
+        if not root.exists():
             return False
-        held = _held_identity(destination)
+        if not root.is_dir():
+            raise OutputError("is a file; a folder was expected.", where=str(root))
+        if {entry.name for entry in root.iterdir()} <= {WORK, MARKER} and not (root / WORK / PLAN).exists():
+            return False
+        held = _held_identity(Destination(root))
     except OSError as error:
         raise OutputError(f"cannot be read: {error.strerror}.", where=str(root)) from error
     if held is None:
@@ -117,56 +157,108 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> b
             where=str(root),
             hint="Choose a DST that does not exist, or an empty folder.",
         )
-    if held == identity:
-        return True
-    if not force:
+    if held != identity and not force:
         raise UsageError(
             f"{root} holds a conversion with other options ({_difference(held, identity)}).",
             hint="Choose another DST, or replace it with --force.",
         )
-    return False
+    return held == identity
 
 
 def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> Destination:
     """Makes DST ready for the units; an old tree that is replaced is renamed before it is deleted.
 
     Args:
+        root: `resolved_destination`.
         same: DST holds this very conversion (`check_destination`).
         force: start over even so.
 
     Raises:
         OutputError: DST cannot be written.
     """
+    old = root.with_name(f".{root.name}.unidrive-old")
     try:
+        if old.exists():
+            shutil.rmtree(old)
         if root.exists() and (force or not same) and any(root.iterdir()):
-            old = root.with_name(f".{root.name}.unidrive-old")
-            shutil.rmtree(old, ignore_errors=True)
             root.rename(old)
             shutil.rmtree(old)
-        destination = Destination(root, made=not root.exists())
-        destination.receipts.mkdir(parents=True, exist_ok=True)
+        destination = Destination(root, _topmost_missing(root), started=not (root / WORK).exists())
+        if destination.kept_work.exists() and destination.started:
+            destination = Destination(root)
+            destination.kept_work.rename(destination.work)
+        destination.work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
-    destination.write(MARKER, _MARKER_TEXT.encode())
-    destination.write(f"{WORK}/plan.json", json.dumps(identity, indent=1, sort_keys=True).encode())
+    try:
+        destination.write(f"{WORK}/{PLAN}", json.dumps(identity, indent=1, sort_keys=True).encode())
+        destination.write(MARKER, _MARKER_TEXT.encode())
+    except OutputError:
+        abandon(destination)
+        raise
     return destination
 
 
+def finish(destination: Destination, *, keep_work: bool) -> None:
+    """Takes the marker away: the rename is the moment from which the dataset is complete.
+
+    Args:
+        keep_work: keep the receipts, because samples were left out.
+
+    Raises:
+        OutputError: DST cannot be written.
+    """
+    try:
+        shutil.rmtree(destination.kept_work, ignore_errors=True)
+        destination.work.rename(destination.kept_work)
+        sweep(destination, keep_work=keep_work)
+    except OSError as error:
+        raise OutputError(f"cannot be removed: {error.strerror}.", where=str(destination.work)) from error
+
+
+def sweep(destination: Destination, *, keep_work: bool) -> None:
+    """Removes what a finished dataset does not need."""
+    (destination.root / MARKER).unlink(missing_ok=True)
+    if not keep_work:
+        shutil.rmtree(destination.kept_work, ignore_errors=True)
+
+
 def abandon(destination: Destination) -> None:
-    """Removes a destination in which nothing was finished, so that no trace of a failed start stays."""
-    if not destination.work.is_dir() or any(destination.receipts.glob("*.json")):
+    """Removes what this run put into DST, where it was the first to do so and finished nothing."""
+    finished_units = any((destination.work / RECEIPTS).glob("*.json"))
+    if not destination.started or finished_units or (destination.root / PROVENANCE).exists():
         return
-    for entry in destination.root.iterdir():
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry, ignore_errors=True)
-        else:
-            entry.unlink()
-    if destination.made:
-        destination.root.rmdir()
+    with contextlib.suppress(OSError):
+        for entry in destination.root.iterdir():
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry, ignore_errors=True)
+            else:
+                entry.unlink()
+        place = destination.root
+        while destination.made is not None:
+            place.rmdir()
+            if place == destination.made:
+                break
+            place = place.parent
+
+
+def _existing(place: Path) -> Path:
+    while not place.exists():
+        place = place.parent
+    return place
+
+
+def _topmost_missing(root: Path) -> Path | None:
+    missing = None
+    for place in (root, *root.parents):
+        if place.exists():
+            break
+        missing = place
+    return missing
 
 
 def _held_identity(destination: Destination) -> dict[str, Any] | None:
-    for path, key in ((destination.work / "plan.json", None), (destination.root / PROVENANCE, "plan")):
+    for path, key in ((destination.work / PLAN, None), (destination.root / PROVENANCE, "plan")):
         try:
             document = json.loads(path.read_bytes())
             held = document if key is None else document[key]

@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 
 from unidrive_cli import __version__
-from unidrive_cli.convert.destination import MARKER, PROVENANCE, RUN, Destination
+from unidrive_cli.convert.destination import MASKS, PROVENANCE, RUN, TRAINING, Destination
 from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
-from unidrive_cli.convert.plan import Plan
+from unidrive_cli.convert.plan import Plan, picture_size_of
 from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt
-from unidrive_cli.convert.verify import Verified, verify
+from unidrive_cli.convert.verify import Verified, verify_staged
 from unidrive_cli.errors import OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
@@ -88,14 +88,14 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir(parents=True)
         tables.write(_writer(staged))
-        extra_rows = _extra_tables(plan, tables, staged, notes)
-        carried, missing = _carry_files(plan, destination, tables, extra_rows, notes)
+        extra_files = _extra_tables(plan, tables, staged, notes)
+        carried, missing = _carry_files(plan, destination, tables, extra_files, notes)
         _map_pictures(plan, destination, notes)
         if plan.options.masks == "camera":
             _camera_masks(plan, destination)
         summary = _summary(plan, receipts, tables.counts, carried, missing, failures, notes)
-        destination.write("TRAINING.md", training_notes(plan).encode())
-        summary.verified = verify(plan, destination, staged)
+        destination.write(TRAINING, training_notes(plan).encode())
+        summary.verified = verify_staged(plan, destination, staged)
         final = destination.root / plan.dataset.version
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
@@ -126,8 +126,8 @@ def read_summary(destination: Destination) -> Summary:
     return Summary(counts=counts, failures=failures, already_complete=True, **kept)
 
 
-def close(destination: Destination, summary: Summary) -> None:
-    """Writes `run.json` and takes the marker away: from here on the dataset is complete."""
+def write_run(destination: Destination, summary: Summary) -> None:
+    """Writes `run.json`, the one file that may differ between two runs."""
     run = {
         "seconds": summary.seconds,
         "host": platform.node(),
@@ -137,45 +137,38 @@ def close(destination: Destination, summary: Summary) -> None:
         "opencv": cv2.__version__,
     }
     destination.write(RUN, _json(run))
-    try:
-        (destination.root / MARKER).unlink(missing_ok=True)
-        shutil.rmtree(destination.work)
-    except OSError as error:
-        raise OutputError(f"cannot be removed: {error.strerror}.", where=str(destination.work)) from error
 
 
 def _writer(folder: Path) -> Callable[[str, Iterable[bytes | msgspec.Raw]], int]:
     return lambda name, rows: write_rows(folder / f"{name}.json", rows)
 
 
-def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[str]) -> list[dict[str, Any]]:
-    kept_rows: list[dict[str, Any]] = []
-    for name, kept, left in tables.extra_tables():
+def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[str]) -> list[str]:
+    """Writes the extra tables; returns the files that their rows name."""
+    files: list[str] = []
+    for name, kept in tables.extra_tables():
         source = plan.dataset.extra_tables[name]
-        if kept is None or not left:
-            shutil.copyfile(source, folder / source.name)
-        else:
-            write_rows(folder / source.name, map(msgspec.json.encode, kept))
+        left = len(source.rows or []) - len(kept)
+        if left:
+            write_rows(folder / source.path.name, (json.dumps(row).encode() for row in kept))
             notes.append(
-                f"{source.name}: {left} rows belong to pictures or samples that are gone, and left with them."
+                f"{source.path.name}: {left} rows belong to pictures or samples that are gone, and left with them."
             )
-        kept_rows.extend(kept or [])
-    return kept_rows
+        else:
+            shutil.copyfile(source.path, folder / source.path.name)
+        files.extend(filename for row in kept if (filename := source.filename(row)))
+    return files
 
 
 def _carry_files(
-    plan: Plan,
-    destination: Destination,
-    tables: OutputTables,
-    extra_rows: list[dict[str, Any]],
-    notes: list[str],
+    plan: Plan, destination: Destination, tables: OutputTables, extra_files: list[str], notes: list[str]
 ) -> tuple[int, int]:
     carried = missing = 0
     example = ""
-    for filename in carried_files(plan.dataset, list(tables.kept_sample_data.values()), extra_rows):
+    for filename in carried_files(plan.dataset, tables.kept_sample_data.values(), extra_files):
         if carry(plan.dataset, filename, destination, plan.options.link):
             carried += 1
-        else:
+        elif filename not in {row.filename for row in plan.dataset.map.rows}:
             missing += 1
             example = example or filename
     if missing:
@@ -186,7 +179,7 @@ def _carry_files(
 def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> None:
     """nuscenes-devkit refuses a dataset whose map picture is missing: an empty one takes its place."""
     for row in plan.dataset.map.rows:
-        if row.filename and not (destination.root / row.filename).exists():
+        if row.filename and not (plan.dataset.root / row.filename).exists():
             destination.write(row.filename, encode_mask(np.zeros((10, 10), dtype=np.uint8)))
             notes.append(f"The map picture {row.filename} is missing in the source; an empty one was written.")
 
@@ -194,12 +187,12 @@ def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> Non
 def _camera_masks(plan: Plan, destination: Destination) -> None:
     """Static coverage: the source's most frequent rig, all cameras at one moment."""
     options = plan.options
-    rig, _ = rig_of_dataset(plan.dataset, options.scenes)
+    rig, _ = rig_of_dataset(plan.dataset, options.scenes, picture_size_of)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
     renderer = Renderer(plan.rig, options.depth_limit_m, options.ground_height_m, options.blend)
     for camera, view in zip(plan.rig.cameras, renderer.tables(sources), strict=True):
-        destination.write(f"masks/{camera.channel}.png", view.mask_png)
+        destination.write(f"{MASKS}/{camera.channel}.png", view.mask_png)
 
 
 def _summary(

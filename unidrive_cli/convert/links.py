@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
-
-import msgspec
 
 from unidrive_cli.convert.destination import Destination
 from unidrive_cli.convert.options import Link
@@ -20,22 +17,41 @@ CARRIED_FOLDERS = ("can_bus", "map", "maps")
 """Top-level folders that go along whole; other files go along where a table names them."""
 
 
-def carried_files(dataset: Dataset, rows: list[SampleData], extra_rows: list[dict[str, Any]]) -> Iterator[str]:
+def check_carried_folders(dataset: Dataset) -> None:
+    """Refuses a link in the carried folders that leads elsewhere.
+
+    Raises:
+        DatasetError: there is one, or a folder cannot be read.
+    """
+    for folder in CARRIED_FOLDERS:
+        for path, folders, files in os.walk(dataset.root / folder, onerror=_raise):
+            for name in (*folders, *files):
+                entry = Path(path) / name
+                if entry.is_symlink():
+                    if entry.is_dir():
+                        raise DatasetError(
+                            "is a link to a folder; below the top-level folders links are not followed.",
+                            where=str(entry),
+                            hint="Put the folder itself in its place.",
+                        )
+                    relative = entry.relative_to(dataset.root).as_posix()
+                    dataset.files.resolve(relative, str(entry))
+
+
+def carried_files(dataset: Dataset, rows: Iterable[SampleData], extra_files: Iterable[str]) -> Iterator[str]:
     """File names, relative to the dataset, of everything that goes along unchanged.
 
     Args:
         rows: sample_data rows (no cameras) that stay.
-        extra_rows: rows of extra tables that stay; those with a `filename` name a file.
+        extra_files: files that rows of extra tables name.
     """
     for row in rows:
         yield row.filename
-    for record in extra_rows:
-        if isinstance(record.get("filename"), str) and record["filename"]:
-            yield record["filename"]
+    yield from extra_files
     named = {row.filename for row in dataset.map.rows if row.filename}
     for folder in CARRIED_FOLDERS:
-        for path, _, files in os.walk(dataset.root / folder):
-            for name in sorted(files):
+        for path, _, files in os.walk(dataset.root / folder, onerror=_raise):
+            for name in files:
                 named.add((Path(path) / name).relative_to(dataset.root).as_posix())
     yield from sorted(named)
 
@@ -43,19 +59,20 @@ def carried_files(dataset: Dataset, rows: list[SampleData], extra_rows: list[dic
 def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) -> bool:
     """Brings one file of the source into the destination; False where the source does not have it.
 
+    The name was checked when the conversion was planned.
+
     Raises:
-        DatasetError: the name leaves the dataset.
+        DatasetError: the file cannot be read.
         OutputError: it cannot be written.
     """
-    source = dataset.files.resolve(filename, f"{dataset.folder}, filename {filename!r:.80}")
-    target = destination.root / filename
+    source, target = dataset.root / filename, destination.root / filename
     if not source.is_file():
         return False
     if os.path.lexists(target):
         return True
+    real = source.resolve()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        real = source.resolve()
         if how == "symlink":
             target.symlink_to(real)
         elif how == "copy" or not _hard_link(real, target):
@@ -63,23 +80,14 @@ def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) 
             shutil.copyfile(real, temporary)
             temporary.replace(target)
     except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}.", where=str(target)) from error
+        if error.filename == str(real):
+            raise DatasetError(f"cannot be read: {error.strerror}.", where=str(source)) from error
+        raise OutputError(
+            f"cannot be written: {error.strerror}.",
+            where=str(target),
+            hint="When that is mended, the same command continues.",
+        ) from error
     return True
-
-
-def read_extra_rows(path: Path) -> list[dict[str, Any]] | None:
-    """The rows of an extra table, or None where the file is not a list of rows.
-
-    Raises:
-        DatasetError: it cannot be read.
-    """
-    try:
-        document = msgspec.json.decode(path.read_bytes())
-    except (OSError, msgspec.DecodeError, RecursionError) as error:
-        raise DatasetError(f"is no table: {error}.", where=str(path)) from error
-    if not isinstance(document, list) or not all(isinstance(row, dict) for row in document):
-        return None
-    return document
 
 
 def _hard_link(source: Path, target: Path) -> bool:
@@ -88,3 +96,8 @@ def _hard_link(source: Path, target: Path) -> bool:
     except OSError:
         return False
     return True
+
+
+def _raise(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError):
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename)) from error

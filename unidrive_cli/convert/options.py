@@ -67,6 +67,6 @@ class Options:
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "link", "on_error")
+        apart = ("jobs", "verify", "on_error")
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import msgspec
 
-from unidrive_cli.convert.links import read_extra_rows
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.visibility import VisibilityLevels
@@ -20,6 +19,7 @@ from unidrive_cli.tables.table import Table, changed
 from unidrive_cli.tables.tokens import derived_token
 
 RawRow = bytes | msgspec.Raw
+IMAGE_ANNOTATIONS = "image_annotations"
 
 
 @dataclass
@@ -60,12 +60,12 @@ class OutputTables:
 
     @cached_property
     def kept_sample_data(self) -> dict[str, SampleData]:
-        """The rows of sensors other than cameras that stay, by token."""
-        dataset, everything = self._dataset, len(self.kept_samples) == len(self._dataset.sample.rows)
+        """The rows of sensors other than cameras that stay, by token; sweeps without a sample stay too."""
+        dataset, samples = self._dataset, {*self.kept_samples, ""}
         return {
             row.token: row
             for row in dataset.sample_data.rows
-            if dataset.sensor_of(row).modality != "camera" and (everything or row.sample_token in self.kept_samples)
+            if dataset.sensor_of(row).modality != "camera" and row.sample_token in samples
         }
 
     @cached_property
@@ -89,7 +89,7 @@ class OutputTables:
             return row.visibility_token
         return self._levels.lowered(row.visibility_token, shown)
 
-    def write(self, write_table: Any) -> None:
+    def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
         """Calls `write_table(name, rows)` for every table of the output."""
         fates = self.annotation_fates
         rows: dict[str, Iterable[RawRow]] = {
@@ -100,37 +100,27 @@ class OutputTables:
             "sample_data": self._sample_data(),
             "scene": self._indexed(self._dataset.scene, mended_scenes(self._dataset, self.kept_samples)),
             "sample_annotation": self._linked_rows(
-                self._dataset.sample_annotation, set(fates), self._new_visibility()
+                self._dataset.sample_annotation, set(fates), self._changed_annotations()
             ),
             "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, set(fates))),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
-            "image_annotations": self._boxes_2d(),
+            IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
         for name in ("category", "attribute", "log", "map"):
             rows[name] = getattr(self._dataset, name).raw
         for name in sorted(rows):
             self.counts.tables[name] = write_table(name, rows[name])
 
-    def extra_tables(self) -> Iterator[tuple[str, list[dict[str, Any]] | None, int]]:
-        """(name, rows that stay, number that leave) of the source's extra tables.
+    def extra_tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+        """(name, rows that stay) of the source's extra tables.
 
-        Rows that point to a sample_data or sample row which is gone go with it. The rows are None for a
-        file that is no table and is carried as it is.
+        Rows that point to a sample_data or sample row which is gone go with it. A file that is no table
+        has no rows.
         """
-        gone_with = {"sample_data_token": self.kept_sample_data, "sample_token": self.kept_samples}
-        for name, path in self._dataset.extra_tables.items():
-            if name == "image_annotations":
-                continue
-            records = read_extra_rows(path)
-            if records is None:
-                yield name, None, 0
-                continue
-            kept = [
-                record
-                for record in records
-                if all(not record.get(key) or record[key] in known for key, known in gone_with.items())
-            ]
-            yield name, kept, len(records) - len(kept)
+        stay = {"sample_data_token": self.kept_sample_data, "sample_token": self.kept_samples}
+        for name, table in self._dataset.extra_tables.items():
+            if name != IMAGE_ANNOTATIONS:
+                yield name, [row for row in table.rows or [] if all(_points_into(row, *key) for key in stay.items())]
 
     def _sensors(self) -> Iterator[RawRow]:
         table = self._dataset.sensor
@@ -226,16 +216,21 @@ class OutputTables:
                     visibility_token=fates[row.token],
                 )
 
-    def _new_visibility(self) -> dict[str, dict[str, Any]]:
+    def _changed_annotations(self) -> dict[str, dict[str, Any]]:
+        """New visibility; and centres in whole numbers as floats, which nuscenes-devkit needs."""
         fates = self.annotation_fates
-        return {
-            row.token: {"visibility_token": fates[row.token]}
-            for row in self._dataset.sample_annotation.rows
-            if row.token in fates and fates[row.token] != row.visibility_token
-        }
+        changes: dict[str, dict[str, Any]] = {}
+        for row in self._dataset.sample_annotation.rows:
+            if row.token not in fates:
+                continue
+            if fates[row.token] != row.visibility_token:
+                changes.setdefault(row.token, {})["visibility_token"] = fates[row.token]
+            if all(number == int(number) for number in row.translation):
+                changes.setdefault(row.token, {})["translation"] = list(row.translation)
+        return changes
 
     def _linked_rows(
-        self, table: Table[Any], kept: Any, changes: dict[str, dict[str, Any]] | None = None
+        self, table: Table[Any], kept: Collection[str], changes: dict[str, dict[str, Any]] | None = None
     ) -> Iterator[RawRow]:
         links = mended_links(table.rows, kept)
         for row, raw in zip(table.rows, table.raw, strict=True):
@@ -249,6 +244,11 @@ class OutputTables:
 
     def _token(self, table: str, source_token: str, channel: str) -> str:
         return derived_token(table, source_token, self._plan.rig.digest, channel)
+
+
+def _points_into(row: dict[str, Any], field: str, known: Container[str]) -> bool:
+    token = row.get(field)
+    return not isinstance(token, str) or not token or token in known
 
 
 def _row(**fields: Any) -> bytes:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import re
+import stat
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,18 +19,20 @@ import numpy as np
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
+from unidrive_cli.convert.destination import RESERVED
+from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
-from unidrive_cli.convert.units import Frame, FrameSource
+from unidrive_cli.convert.units import SKIP_HINT, Frame
 from unidrive_cli.errors import DatasetError, GeometryError, PictureError, RigError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.poses import inverse, relative
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.paths import check_filename
 from unidrive_cli.tables.rig_of_dataset import camera_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
-from unidrive_cli.warp.pictures import picture_size
+from unidrive_cli.warp.pictures import check_size, picture_size
+from unidrive_cli.warp.remap import Source
 
 METHOD = 1
 """Version of what the pictures and tables depend on; a change of results raises it."""
@@ -41,6 +45,7 @@ STANDARD_CHANNELS = (
     "CAM_BACK_LEFT",
     "CAM_BACK_RIGHT",
 )
+MAX_TIMESTAMP = 2**63
 _JPEG_QUALITIES = (50, 80, 90, 95, 100)
 _JPEG_BYTES_PER_PIXEL = (0.06, 0.11, 0.145, 0.21, 0.55)
 _MASK_BYTES = 4_000
@@ -54,13 +59,15 @@ class Unit:
     Attributes:
         scene, sample: its rows.
         reference: the row whose time and ego pose the virtual pictures take.
-        sources: the camera key frames, at most one per channel.
+        cameras: the camera key frames, at most one per channel.
+        sources: those that are rendered from (`--camera`).
         pictures: file name of each virtual picture, in the rig's order.
     """
 
     scene: Scene
     sample: Sample
     reference: SampleData
+    cameras: tuple[SampleData, ...]
     sources: tuple[SampleData, ...]
     pictures: tuple[str, ...]
 
@@ -105,24 +112,23 @@ class Plan:
         Raises:
             DatasetError: numbers that are no camera or no pose.
         """
-        dataset = self.dataset
-        global_from_ego = dataset.global_from_ego(unit.reference)
+        global_from_ego = self.dataset.global_from_ego(unit.reference)
+        witnesses = {row.token: self._source(row, global_from_ego) for row in unit.cameras}
         return Frame(
             unit.sample.token,
             unit.pictures,
-            tuple(self._source(row, global_from_ego) for row in unit.sources),
+            tuple(str(self.dataset.path_of(row)) for row in unit.sources),
+            tuple(witnesses[row.token] for row in unit.sources),
+            tuple(witnesses.values()),
             *self._boxes(unit, global_from_ego),
         )
 
-    def _source(self, row: SampleData, global_from_ego: Float) -> FrameSource:
-        where = self.dataset.sample_data.place(row, "filename")
-        path = self.dataset.files.resolve(row.filename, where)
-        size = (row.width, row.height) if row.width and row.height else picture_size(_read_head(path), str(path))
-        camera = camera_of(self.dataset, row, size)
+    def _source(self, row: SampleData, global_from_ego: Float) -> Source:
+        camera = camera_of(self.dataset, row, picture_size_of(self.dataset, row))
         cam_from_ego = inverse(camera.ego_from_cam)
         if self.options.ego_motion:
             cam_from_ego = cam_from_ego @ relative(self.dataset.global_from_ego(row), global_from_ego)
-        return FrameSource(str(path), camera.lens, cam_from_ego)
+        return Source(camera.lens, cam_from_ego)
 
     def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
         rows = self.dataset.annotations.get(unit.sample.token, [])
@@ -169,6 +175,8 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
     units = list(_units(dataset, rig, options, channels))
     if not units:
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
+    if not any(unit.sources for unit in units):
+        raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
     notes.extend(_source_notes(dataset, rig, units, channels, options))
     notes.extend(consumer_notes(rig, dataset))
     plan = Plan(dataset, rig, options, units, notes)
@@ -221,10 +229,31 @@ def _scenes(rig: Rig, options: Options) -> list[HalfBall]:
 
 
 def _check_filenames(dataset: Dataset) -> None:
-    for table in (dataset.sample_data, dataset.map):
-        for row in table.rows:
-            if row.filename or table is dataset.sample_data:
-                check_filename(row.filename, table.place(row, "filename"))
+    """Every file that goes along: inside the dataset, and under no name that the output needs for itself.
+
+    The pictures that are rendered are checked with their units.
+    """
+    reserved = {*RESERVED, dataset.version}
+
+    def check(filename: str, where: Callable[[], str]) -> None:
+        try:
+            dataset.files.resolve(filename, "")
+        except DatasetError as error:
+            raise DatasetError(error.what, where=where()) from error
+        if filename.partition("/")[0] in reserved:
+            raise DatasetError(f"{filename[:80]!r} is a name that the output needs for itself.", where=where())
+
+    for row in dataset.sample_data.rows:
+        if dataset.sensor_of(row).modality != "camera":
+            check(row.filename, functools.partial(dataset.sample_data.place, row, "filename"))
+    for map_row in dataset.map.rows:
+        if map_row.filename:
+            check(map_row.filename, functools.partial(dataset.map.place, map_row, "filename"))
+    for extra in dataset.extra_tables.values():
+        for index, record in enumerate(extra.rows or []):
+            if filename := extra.filename(record):
+                check(filename, functools.partial("{}, row {}, field filename".format, extra.path, index))
+    check_carried_folders(dataset)
 
 
 def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:
@@ -235,6 +264,9 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
         for sample in dataset.samples_of_scene[scene.token]:
             rows = dataset.keyframes.get(sample.token, [])
             reference = _reference(dataset, sample, rows)
+            if not abs(reference.timestamp) < MAX_TIMESTAMP:
+                place = dataset.sample_data.place(reference, "timestamp")
+                raise DatasetError(f"{reference.timestamp:g} is no time in microseconds.", where=place)
             timestamp = str(round(reference.timestamp))
             names[stem + timestamp] += 1
             if names[stem + timestamp] > 1:
@@ -243,7 +275,8 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
                 scene,
                 sample,
                 reference,
-                _sources(dataset, rows, reference, channels),
+                cameras := _cameras(dataset, rows, reference),
+                tuple(row for row in cameras if dataset.sensor_of(row).channel in channels),
                 tuple(f"samples/{channel}/{stem}__{channel}__{timestamp}.jpg" for channel in rig.channels),
             )
 
@@ -267,13 +300,12 @@ def _reference(dataset: Dataset, sample: Sample, rows: list[SampleData]) -> Samp
     return min(candidates, key=rank)
 
 
-def _sources(
-    dataset: Dataset, rows: list[SampleData], reference: SampleData, channels: set[str]
-) -> tuple[SampleData, ...]:
+def _cameras(dataset: Dataset, rows: list[SampleData], reference: SampleData) -> tuple[SampleData, ...]:
+    """The camera rows of a sample; of several of one channel the one nearest in time to the reference."""
     chosen: dict[str, SampleData] = {}
     for row in rows:
         sensor = dataset.sensor_of(row)
-        if sensor.modality != "camera" or sensor.channel not in channels:
+        if sensor.modality != "camera":
             continue
         other = chosen.get(sensor.channel)
         if other is None or abs(row.timestamp - reference.timestamp) < abs(other.timestamp - reference.timestamp):
@@ -282,36 +314,37 @@ def _sources(
 
 
 def _check_cameras(plan: Plan) -> None:
-    """Every calibration and every picture that a unit needs, before anything is written."""
+    """Every calibration, every picture's presence, and one picture's size per calibration."""
     dataset, seen = plan.dataset, set()
+    stop = plan.options.on_error == "stop"
     for unit in plan.units:
         for row in unit.sources:
-            place = dataset.sample_data.place(row, "filename")
-            path = dataset.files.resolve(row.filename, place)
-            if plan.options.on_error == "stop":
+            path, place = dataset.path_of(row), dataset.sample_data.place(row, "filename")
+            if stop:
                 _refuse_missing(path, place)
             calibration = (row.calibrated_sensor_token, row.width, row.height)
-            if calibration not in seen:
-                seen.add(calibration)
-                try:
-                    size = (row.width, row.height) if row.width and row.height else (1, 1)
-                    camera_of(dataset, row, size)
-                except GeometryError as error:
-                    raise DatasetError(error.what, where=dataset.sample_data.place(row, "width")) from error
+            if calibration in seen:
+                continue
+            seen.add(calibration)
+            if row.width and row.height:
+                camera_of(dataset, row, (row.width, row.height))
+                if stop:
+                    check_size(read_head(path), (row.width, row.height), str(path))
+            elif stop:
+                camera_of(dataset, row, picture_size_of(dataset, row))
 
 
 def _refuse_missing(path: Path, place: str) -> None:
     try:
-        if path.stat().st_size > 0:
+        status = path.stat()
+        if stat.S_ISREG(status.st_mode) and status.st_size > 0:
             return
-        what = "is empty"
+        what = "is empty" if stat.S_ISREG(status.st_mode) else "is no file"
+    except FileNotFoundError:
+        what = "is missing"
     except OSError as error:
-        what = f"cannot be read: {error.strerror}" if path.exists() else "is missing"
-    raise PictureError(
-        f"the picture {path} {what}.",
-        where=place,
-        hint="Restore it, or leave its sample out with --on-error skip.",
-    )
+        what = f"cannot be read: {error.strerror}"
+    raise PictureError(f"the picture {path} {what}.", where=place, hint=SKIP_HINT)
 
 
 def _source_notes(dataset: Dataset, rig: Rig, units: list[Unit], channels: set[str], options: Options) -> list[str]:
@@ -343,9 +376,28 @@ def _file_stem(name: str) -> str:
     return stem or "scene"
 
 
-def _read_head(path: Path) -> bytes:
+def picture_size_of(dataset: Dataset, row: SampleData) -> tuple[int, int]:
+    """(width, height) in pixels of a camera row: the table's, or the file's where the table has none.
+
+    Raises:
+        PictureError: neither says it.
+    """
+    if row.width and row.height:
+        return row.width, row.height
+    path = dataset.path_of(row)
+    return picture_size(read_head(path), str(path))
+
+
+def read_head(path: Path) -> bytes:
+    """The first 64 kB of a picture, which hold its size.
+
+    Raises:
+        PictureError: it cannot be read.
+    """
     try:
         with path.open("rb") as stream:
-            return stream.read(1 << 20)
+            return stream.read(1 << 16)
     except OSError as error:
-        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path)) from error
+        raise PictureError(
+            f"the picture cannot be read: {error.strerror}.", where=str(path), hint=SKIP_HINT
+        ) from error

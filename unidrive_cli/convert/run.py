@@ -6,11 +6,21 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from unidrive_cli.convert.destination import Destination, abandon, begin, check_apart, check_destination
-from unidrive_cli.convert.finalise import Failure, Summary, close, finalise, read_summary
+from unidrive_cli.convert.destination import (
+    Destination,
+    abandon,
+    begin,
+    check_apart,
+    check_destination,
+    finish,
+    resolved_destination,
+    sweep,
+)
+from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, write_run
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Frame, Job, Receipt, read_receipt, run_unit
-from unidrive_cli.errors import DatasetError, UnidriveError
+from unidrive_cli.convert.verify import verify
+from unidrive_cli.errors import CheckError, DatasetError, UnidriveError
 
 Progress = Callable[[int, int], None]
 """Called with (finished units, all units)."""
@@ -25,7 +35,8 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
         progress: told after every unit.
 
     Returns:
-        What was done. A DST that holds this very conversion, finished, is left as it is.
+        What was done. A DST that holds this very conversion, finished, is verified again and left as it
+        is; samples that were left out of it are tried again.
 
     Raises:
         UsageError: DST inside SRC, or it holds a conversion with other options.
@@ -35,15 +46,20 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
     """
     started = time.monotonic()
     check_apart(plan.dataset.root, destination_root)
-    same = check_destination(destination_root, plan.identity, force=force)
-    if same and not force and Destination(destination_root).finished:
-        return read_summary(Destination(destination_root))
-    destination = begin(destination_root, plan.identity, same=same, force=force)
+    root = resolved_destination(destination_root)
+    same = check_destination(root, plan.identity, force=force)
+    if same and not force and Destination(root).finished:
+        summary = read_summary(Destination(root))
+        if not summary.failures:
+            sweep(Destination(root), keep_work=False)
+            summary.verified = verify(plan, root)
+            return summary
+    destination = begin(root, plan.identity, same=same, force=force)
     try:
         receipts, failures = _run_units(plan, destination, progress)
         rendered = time.monotonic()
         if not receipts:
-            raise DatasetError(f"not one sample could be converted; the first: {failures[0].sentence}")
+            raise CheckError(f"not one sample could be converted; the first: {failures[0].sentence}")
         summary = finalise(plan, destination, receipts, failures)
     except BaseException:
         abandon(destination)
@@ -52,7 +68,8 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
         "units": round(rendered - started, 3),
         "finalise": round(time.monotonic() - rendered, 3),
     }
-    close(destination, summary)
+    write_run(destination, summary)
+    finish(destination, keep_work=bool(failures))
     return summary
 
 
@@ -63,7 +80,7 @@ def _run_units(
     failures: list[Failure] = []
     todo: list[Unit] = []
     for unit in plan.units:
-        receipt = read_receipt(destination, unit.sample.token)
+        receipt = read_receipt(destination, unit.sample.token, unit.pictures, plan.options.masks)
         if receipt is None:
             todo.append(unit)
         else:
@@ -73,7 +90,7 @@ def _run_units(
         progress(len(receipts), total)
     options = plan.options
     job = Job(
-        Destination(destination.root.absolute()),
+        destination,
         plan.rig,
         options.depth_limit_m,
         options.ground_height_m,
@@ -100,12 +117,16 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
             yield _attempt(job, _frame(plan, unit, skip=skip), skip)
         return
     import joblib
+    from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    parallel = joblib.Parallel(n_jobs=plan.options.jobs, return_as="generator_unordered")
+    parallel = joblib.Parallel(n_jobs=min(plan.options.jobs, len(units)), return_as="generator_unordered")
     frames: Iterator[Frame | Failure] = (_frame(plan, unit, skip=skip) for unit in units)
     try:
         yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+    except KeyboardInterrupt:
+        get_reusable_executor().shutdown(wait=False, kill_workers=True)
+        raise
     except BrokenProcessPool as error:
         raise UnidriveError(
             "a worker process was killed, most likely because memory ran out.",

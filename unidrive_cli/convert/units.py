@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from unidrive_cli.convert.destination import RECEIPTS, WORK, Destination
 from unidrive_cli.convert.options import Masks
 from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
-from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, decode_picture, encode_jpeg
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
+
+SKIP_HINT = "Restore it, or leave its sample out with --on-error skip."
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,29 +52,24 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameSource:
-    """A source picture: file, lens, and pose from the reference ego frame into its camera."""
-
-    path: str
-    lens: Pinhole
-    cam_from_ego: Float
-
-
-@dataclass(frozen=True, eq=False)
 class Frame:
     """A unit as its worker needs it.
 
     Attributes:
         sample_token: names it.
         pictures: file name of each virtual picture below DST, in the rig's order.
-        sources: the source pictures.
+        paths, sources: file and camera of each source picture.
+        witnesses: all cameras that took a picture of the sample, whether they are sources or not:
+            the annotated visibility refers to them.
         ego_from_box: (n, 4, 4) annotated boxes in the reference ego frame, in table order.
         box_sizes_m: (n, 3) width, length, height.
     """
 
     sample_token: str
     pictures: tuple[str, ...]
-    sources: tuple[FrameSource, ...]
+    paths: tuple[str, ...]
+    sources: tuple[Source, ...]
+    witnesses: tuple[Source, ...]
     ego_from_box: Float
     box_sizes_m: Float
 
@@ -101,12 +98,20 @@ def receipt_name(sample_token: str) -> str:
     return f"{WORK}/{RECEIPTS}/{hashlib.sha256(sample_token.encode()).hexdigest()[:32]}.json"
 
 
-def read_receipt(destination: Destination, sample_token: str) -> Receipt | None:
-    """The receipt of a sample, or None where it is missing or broken."""
+def read_receipt(
+    destination: Destination, sample_token: str, pictures: Sequence[str], masks: Masks
+) -> Receipt | None:
+    """The receipt of a finished sample; None where it, a picture or a mask is missing or of another size."""
+    root = destination.root
     try:
-        return msgspec.json.decode((destination.root / receipt_name(sample_token)).read_bytes(), type=Receipt)
+        receipt = msgspec.json.decode((root / receipt_name(sample_token)).read_bytes(), type=Receipt)
+        sizes = [(root / name).stat().st_size for name in pictures]
+        whole = sizes == receipt.picture_bytes
+        if masks == "frame":
+            whole = whole and all((root / mask_name(name)).stat().st_size for name in pictures)
     except (OSError, msgspec.DecodeError):
         return None
+    return receipt if whole else None
 
 
 def run_unit(job: Job, frame: Frame) -> Receipt:
@@ -117,8 +122,8 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         OutputError: a file cannot be written.
     """
     renderer = renderer_of(job)
-    pictures = [read_picture(source) for source in frame.sources]
-    tables = renderer.tables([Source(source.lens, source.cam_from_ego) for source in frame.sources])
+    pictures = [read_picture(path, source) for path, source in zip(frame.paths, frame.sources, strict=True)]
+    tables = renderer.tables(frame.sources)
     sizes = []
     for view, name in zip(tables, frame.pictures, strict=True):
         data = encode_jpeg(view.render(pictures), job.quality)
@@ -129,7 +134,7 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
     shown, boxes = seen_boxes(
         frame.ego_from_box,
         frame.box_sizes_m,
-        [(source.lens, source.cam_from_ego) for source in frame.sources],
+        frame.witnesses,
         [(camera, view.mask) for camera, view in zip(job.rig.cameras, tables, strict=True)],
     )
     receipt = Receipt(frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, boxes)
@@ -143,17 +148,22 @@ def mask_name(picture_name: str) -> str:
     return f"masks/{path.parent.name}/{path.stem}.png"
 
 
-def read_picture(source: FrameSource) -> Picture:
+def read_picture(path: str, source: Source) -> Picture:
     """The decoded picture of a source.
 
     Raises:
         PictureError: missing, broken, or of another size than its lens.
     """
     try:
-        data = Path(source.path).read_bytes()
+        if not Path(path).is_file():
+            raise PictureError("the picture is missing or is no file.", where=path, hint=SKIP_HINT)
+        data = Path(path).read_bytes()
     except OSError as error:
-        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=source.path) from error
-    return decode_picture(data, (source.lens.width_px, source.lens.height_px), source.path)
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=path, hint=SKIP_HINT) from error
+    try:
+        return decode_picture(data, (source.lens.width_px, source.lens.height_px), path)
+    except PictureError as error:
+        raise PictureError(error.what, where=error.where, hint=error.hint or SKIP_HINT) from error
 
 
 @functools.lru_cache(maxsize=1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from unidrive_cli.check.references import check_references
-from unidrive_cli.convert.destination import Destination
+from unidrive_cli.convert.destination import KEPT_WORK, WORK, Destination
 from unidrive_cli.convert.plan import Plan
 from unidrive_cli.errors import CheckError, UnidriveError
 from unidrive_cli.tables.dataset import Dataset, open_dataset
@@ -30,10 +30,8 @@ class Verified:
     boxes_projected: int
 
 
-def verify(plan: Plan, destination: Destination, staged_tables: Path) -> Verified:
-    """Checks the finished output: our own rules, the pictures, and nuscenes-devkit.
-
-    The tables are still staged; a folder of links shows the dataset as it will be.
+def verify_staged(plan: Plan, destination: Destination, staged_tables: Path) -> Verified:
+    """Verifies an output whose tables are still staged: a folder of links shows it as it will be.
 
     Args:
         staged_tables: folder with the output's tables.
@@ -45,20 +43,35 @@ def verify(plan: Plan, destination: Destination, staged_tables: Path) -> Verifie
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir()
     for entry in destination.root.iterdir():
-        if entry.name not in (destination.work.name, plan.dataset.version):
-            (root / entry.name).symlink_to(entry.absolute())
-    (root / plan.dataset.version).symlink_to(staged_tables.absolute())
+        if entry.name not in (WORK, KEPT_WORK, plan.dataset.version):
+            (root / entry.name).symlink_to(entry)
+    (root / plan.dataset.version).symlink_to(staged_tables)
+    verified = verify(plan, root)
+    shutil.rmtree(root)
+    return verified
+
+
+def verify(plan: Plan, root: Path) -> Verified:
+    """Checks an output: our own rules, the pictures, and nuscenes-devkit.
+
+    Args:
+        root: the dataset.
+
+    Raises:
+        CheckError: something is wrong; the sentence says what.
+    """
     try:
         dataset = open_dataset(root, plan.dataset.version)
         findings = list(check_references(dataset))
     except UnidriveError as error:
-        raise CheckError(f"the tables that were written cannot be read again: {error}") from error
+        raise CheckError(
+            f"the tables that were written cannot be read again: {error}", hint="Start over with --force."
+        ) from error
     if findings:
         raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
     present, decoded = _check_pictures(plan, dataset, root)
     boxes = _check_devkit(root, plan.dataset.version, len(dataset.sample_annotation.rows))
-    shutil.rmtree(root)
-    return Verified(len(list(staged_tables.glob("*.json"))), present, decoded, boxes)
+    return Verified(len(list((root / plan.dataset.version).glob("*.json"))), present, decoded, boxes)
 
 
 def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:
@@ -66,7 +79,9 @@ def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]
     for row in rows:
         path = root / row.filename
         if not path.is_file() or not path.stat().st_size:
-            raise CheckError("the picture was not written.", where=f"the output, {row.filename}")
+            raise CheckError(
+                "the picture is missing.", where=f"the output, {row.filename}", hint="Start over with --force."
+            )
     sampled = rows
     if plan.options.verify == "sample" and len(rows) > SAMPLED_PICTURES:
         sampled = random.Random(plan.digest).sample(rows, SAMPLED_PICTURES)
@@ -101,6 +116,6 @@ def _check_devkit(root: Path, version: str, annotations: int) -> int:
                         boxes += len(seen)
                         if not Path(path).is_file():
                             raise CheckError(f"nuscenes-devkit looks for {path}, which is not there ({channel}).")
-    except (AssertionError, KeyError, IndexError, ValueError, OSError) as error:
+    except (AssertionError, LookupError, ValueError, TypeError, AttributeError, OSError) as error:
         raise CheckError(f"nuscenes-devkit does not open the output: {type(error).__name__}: {error}.") from error
     return boxes

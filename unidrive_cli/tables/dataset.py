@@ -15,6 +15,7 @@ from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
+from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.paths import Inside
 from unidrive_cli.tables.schema import (
     NEEDED,
@@ -37,6 +38,9 @@ from unidrive_cli.tables.schema import (
 from unidrive_cli.tables.table import Table, read_table, table_of
 
 LIDAR_REFERENCE = "LIDAR_TOP"
+OPTIONAL = ("sample_annotation", "instance", "category", "attribute", "visibility", "log", "map")
+"""Tables that may be missing, in an order in which their minimal rows can be made."""
+NO_CATEGORY = "unidrive-unknown-category"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class Dataset:
     visibility: Table[Visibility]
     log: Table[Log]
     map: Table[Map]
-    extra_tables: dict[str, Path]
+    extra_tables: dict[str, ExtraTable]
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -77,14 +81,21 @@ class Dataset:
     def digest(self) -> str:
         """SHA-256 (hex) of all tables, the extra ones included."""
         digests = {name: getattr(self, name).digest for name in TABLES}
-        for name, path in self.extra_tables.items():
-            digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        digests.update({name: table.digest for name, table in self.extra_tables.items()})
         return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
     @cached_property
     def files(self) -> Inside:
         """Resolves `filename` fields below the root."""
         return Inside(self.root)
+
+    def path_of(self, row: SampleData) -> Path:
+        """The file of a sample_data row.
+
+        Raises:
+            DatasetError: its name leaves the dataset.
+        """
+        return self.files.resolve(row.filename, self.sample_data.place(row, "filename"))
 
     @cached_property
     def sensor_of_calibration(self) -> dict[str, Sensor]:
@@ -213,12 +224,18 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
         DatasetError: no such folder, no version folder, or a table that cannot be used.
         UsageError: several version folders and no `version`, or a `version` that is not there.
     """
-    folder = _version_folder(root, version)
+    try:
+        return _open(_version_folder(root, version))
+    except OSError as error:
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
+
+
+def _open(folder: Path) -> Dataset:
     notes: list[str] = []
     tables: dict[str, Table[Any]] = {}
     for name in NEEDED:
         tables[name] = read_table(folder / f"{name}.json", name)
-    for name in (name for name in TABLES if name not in NEEDED):
+    for name in OPTIONAL:
         path = folder / f"{name}.json"
         if path.exists():
             tables[name] = read_table(path, name)
@@ -226,8 +243,26 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
             records = _minimal_records(name, tables)
             tables[name] = table_of(name, records)
             notes.append(f"{name}.json is missing; {len(records)} rows are assumed.")
-    extra = {path.stem: path for path in sorted(folder.glob("*.json")) if path.stem not in TABLES}
-    return Dataset(root, folder.name, **tables, extra_tables=extra, notes=notes)
+    if any(row.category_token == NO_CATEGORY for row in tables["instance"].rows):
+        unknown = {"token": NO_CATEGORY, "name": "unknown", "description": ""}
+        tables["category"] = tables["category"].extended([unknown])
+    unmapped = {row.token for row in tables["log"].rows}.difference(*(row.log_tokens for row in tables["map"].rows))
+    if unmapped:
+        tables["map"] = tables["map"].extended([_no_map(sorted(unmapped))])
+        notes.append(f"{len(unmapped)} logs have no map; an empty one is assumed, as nuscenes-devkit wants one.")
+    paths = extra_table_paths(folder, frozenset(TABLES))
+    return Dataset(
+        folder.parent,
+        folder.name,
+        **tables,
+        extra_tables={path.stem: read_extra_table(path) for path in paths},
+        notes=notes,
+    )
+
+
+def is_version_folder(folder: Path) -> bool:
+    """Whether a folder holds the tables itself."""
+    return (folder / "sensor.json").exists() and (folder / "sample_data.json").exists()
 
 
 def _version_folder(root: Path, version: str | None) -> Path:
@@ -235,10 +270,7 @@ def _version_folder(root: Path, version: str | None) -> Path:
         raise DatasetError("there is no such folder.", where=str(root))
     if not root.is_dir():
         raise DatasetError("is a file; the folder that holds v1.0-* was expected.", where=str(root))
-    try:
-        folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-    except OSError as error:
-        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(root)) from error
+    folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     found = [folder for folder in folders if (folder / "sensor.json").exists()]
     found = [folder for folder in found if (folder / "sample_data.json").exists()] or found
     if version is not None:
@@ -267,17 +299,47 @@ def _version_folder(root: Path, version: str | None) -> Path:
     )
 
 
-def _minimal_records(name: str, tables: dict[str, Table[Any]]) -> list[dict[str, object]]:
-    logs = sorted({row.log_token for row in tables["scene"].rows})
+def _minimal_records(name: str, tables: dict[str, Table[Any]]) -> list[dict[str, Any]]:
+    """Rows of a missing table: one for every token that other tables point to."""
+
+    def wanted(table: str, field: str) -> list[str]:
+        return sorted({getattr(row, field) or "" for row in tables[table].rows})
+
     if name == "visibility":
-        return [dict(record) for record in NUSCENES_VISIBILITY]
-    if name == "log":
+        known = {record["token"] for record in NUSCENES_VISIBILITY}
+        others = set(wanted("sample_annotation", "visibility_token")) - known - {""}
         return [
-            {"token": token, "logfile": "", "vehicle": "", "date_captured": "", "location": ""} for token in logs
+            *NUSCENES_VISIBILITY,
+            *({"description": "", "token": token, "level": ""} for token in sorted(others)),
         ]
+    if name == "instance":
+        tokens = wanted("sample_annotation", "instance_token")
+        return [
+            {
+                "token": token,
+                "category_token": NO_CATEGORY,
+                "nbr_annotations": 0,
+                "first_annotation_token": "",
+                "last_annotation_token": "",
+            }
+            for token in tokens
+        ]
+    if name == "category":
+        tokens = [token for token in wanted("instance", "category_token") if token != NO_CATEGORY]
+        return [{"token": token, "name": "unknown", "description": ""} for token in tokens]
+    if name == "attribute":
+        tokens = sorted({token for row in tables["sample_annotation"].rows for token in row.attribute_tokens})
+        return [{"token": token, "name": "unknown", "description": ""} for token in tokens]
+    if name == "log":
+        empty = {"logfile": "", "vehicle": "", "date_captured": "", "location": ""}
+        return [{"token": token, **empty} for token in wanted("scene", "log_token")]
     if name == "map":
-        return [{"category": "semantic_prior", "token": "unidrive-no-map", "filename": "", "log_tokens": logs}]
+        return [_no_map([row.token for row in tables["log"].rows])]
     return []
+
+
+def _no_map(log_tokens: list[str]) -> dict[str, Any]:
+    return {"category": "semantic_prior", "token": "unidrive-no-map", "filename": "", "log_tokens": log_tokens}
 
 
 def _pose(table: Table[Any], row: CalibratedSensor | EgoPose | SampleAnnotation) -> Float:

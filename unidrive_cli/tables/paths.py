@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from unidrive_cli.errors import DatasetError
 
 MAX_FILENAME_CHARACTERS = 1024
+MAX_NAME_BYTES = 255
 
 
 def check_filename(filename: str, where: str) -> None:
@@ -17,7 +18,12 @@ def check_filename(filename: str, where: str) -> None:
         DatasetError: empty, absolute, with `..`, NUL or a backslash, or absurdly long.
     """
     problem = None
-    if len(filename) > MAX_FILENAME_CHARACTERS:
+    if (
+        len(filename) > MAX_NAME_BYTES
+        and max(len(part.encode(errors="replace")) for part in filename.split("/")) > MAX_NAME_BYTES
+    ):
+        problem = f"has a name of more than {MAX_NAME_BYTES} bytes"
+    elif len(filename) > MAX_FILENAME_CHARACTERS:
         problem = f"has {len(filename)} characters"
     elif "\0" in filename or "\\" in filename:
         problem = "holds a NUL or a backslash"
@@ -37,7 +43,8 @@ class Inside:
     """
 
     def __init__(self, root: Path) -> None:
-        self._root = root
+        self._root = str(root)
+        self._real_root = os.path.realpath(root)
         self._top_folders: dict[str, str] = {}
         self._safe_folders: set[str] = set()
 
@@ -48,24 +55,20 @@ class Inside:
             DatasetError: the name is not safe, or a link leads out of the dataset.
         """
         check_filename(filename, where)
-        path = PurePosixPath(filename)
-        full = self._root.joinpath(path)
-        home = self._home(path.parts[0]) if len(path.parts) > 1 else os.path.realpath(self._root)
-        folder = str(full.parent)
+        full = f"{self._root}/{filename}"
+        folder = os.path.dirname(full)
         if folder not in self._safe_folders:
-            self._refuse_outside(folder, home, filename, where)
+            self._refuse_outside(folder, filename, where)
             self._safe_folders.add(folder)
-        if full.is_symlink():
-            self._refuse_outside(str(full), home, filename, where)
-        return full
+        if os.path.islink(full):
+            self._refuse_outside(full, filename, where)
+        return Path(full)
 
-    def _home(self, top: str) -> str:
-        if top not in self._top_folders:
-            self._top_folders[top] = os.path.realpath(self._root / top)
-        return self._top_folders[top]
-
-    def _refuse_outside(self, path: str, home: str, filename: str, where: str) -> None:
+    def _refuse_outside(self, path: str, filename: str, where: str) -> None:
         real = os.path.realpath(path)
-        homes = (home, os.path.realpath(self._root))
-        if not any(real == place or real.startswith(place + os.sep) for place in homes):
+        top, _, below = filename.strip("/").partition("/")
+        homes = {self._real_root}
+        if below:
+            homes.add(self._top_folders.setdefault(top, os.path.realpath(f"{self._root}/{top}")))
+        if not any(real == home or real.startswith(home + os.sep) for home in homes):
             raise DatasetError(f"{filename[:80]!r} is a link that leads out of the dataset.", where=where)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
-from unidrive_cli.errors import DatasetError
+from unidrive_cli.errors import DatasetError, RigError, UnidriveError
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
-from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.dataset import Dataset, is_version_folder, open_dataset
 from unidrive_cli.tables.schema import CalibratedSensor, SampleData
 
 
@@ -30,11 +31,29 @@ def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Ca
     )
 
 
-def rig_of_dataset(dataset: Dataset, scenes: tuple[str, ...] = ()) -> tuple[Rig, list[str]]:
+SizeOf = Callable[[Dataset, SampleData], tuple[int, int]]
+"""Gives (width, height) in pixels of a camera row; files are not read in this room."""
+
+
+def size_in_table(dataset: Dataset, row: SampleData) -> tuple[int, int]:
+    """The picture size that the table gives.
+
+    Raises:
+        DatasetError: it gives none.
+    """
+    if not row.width or not row.height:
+        raise DatasetError("the picture has no size.", where=dataset.sample_data.place(row, "width"))
+    return row.width, row.height
+
+
+def rig_of_dataset(
+    dataset: Dataset, scenes: tuple[str, ...] = (), size_of: SizeOf = size_in_table
+) -> tuple[Rig, list[str]]:
     """The rig that a dataset's pictures were taken with: the most frequent one where there are several.
 
     Args:
         scenes: names of the scenes to look at; all where empty.
+        size_of: where picture sizes come from.
 
     Returns:
         The rig, and notes that say what was chosen.
@@ -54,11 +73,10 @@ def rig_of_dataset(dataset: Dataset, scenes: tuple[str, ...] = ()) -> tuple[Rig,
                 sensor = dataset.sensor_of(row)
                 if sensor.modality != "camera":
                     continue
-                if not row.width or not row.height:
-                    raise DatasetError("the picture has no size.", where=dataset.sample_data.place(row, "width"))
+                width, height = size_of(dataset, row)
                 if row.calibrated_sensor_token not in contents:
                     contents[row.calibrated_sensor_token] = _content(calibrations[row.calibrated_sensor_token])
-                entries.append((sensor.channel, contents[row.calibrated_sensor_token], row.width, row.height, row))
+                entries.append((sensor.channel, contents[row.calibrated_sensor_token], width, height, row))
             if entries:
                 entries.sort(key=lambda entry: entry[0])
                 key = tuple(entry[:4] for entry in entries)
@@ -69,13 +87,13 @@ def rig_of_dataset(dataset: Dataset, scenes: tuple[str, ...] = ()) -> tuple[Rig,
     (key, count), *others = rigs.most_common()
     order = {channel: index for index, channel in enumerate(dataset.camera_channels())}
     rows = sorted(example[key], key=lambda row: order[dataset.sensor_of(row).channel])
-    cameras = tuple(camera_of(dataset, row, (row.width or 0, row.height or 0)) for row in rows)
+    cameras = tuple(camera_of(dataset, row, size_of(dataset, row)) for row in rows)
     notes = []
     if others:
         total = sum(rigs.values())
         notes.append(
             f"{dataset.folder} holds {len(rigs)} different calibrations; the most frequent one is taken "
-            f"({count} of {total} samples; --scene picks another)."
+            f"({count} of {total} samples)."
         )
     return Rig(dataset.root.resolve().name, f"the calibrated cameras of {dataset.version}", cameras), notes
 
@@ -84,8 +102,17 @@ def _content(row: CalibratedSensor) -> str:
     return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
 
 
-def resolve_rig(text: str, scenes: tuple[str, ...] = ()) -> tuple[Rig, list[str]]:
+def resolve_rig(
+    text: str, version: str | None = None, scenes: tuple[str, ...] = (), size_of: SizeOf = size_in_table
+) -> tuple[Rig, list[str]]:
     """The rig that a RIG argument means: a rig file, a shipped rig's name, or a dataset folder.
+
+    A dataset with several version folders is named with the version folder itself.
+
+    Args:
+        text: the argument.
+        version, scenes: of a dataset folder.
+        size_of: where picture sizes of a dataset come from.
 
     Returns:
         The rig, and notes that say what was assumed.
@@ -98,8 +125,16 @@ def resolve_rig(text: str, scenes: tuple[str, ...] = ()) -> tuple[Rig, list[str]
     looks_like_path = "/" in text or path.suffix in (".yaml", ".yml")
     if not looks_like_path and text in gallery_names():
         return load_gallery_rig(text), []
-    if path.is_dir():
-        return rig_of_dataset(open_dataset(path), scenes)
-    if looks_like_path or path.is_file():
-        return load_rig(path), []
+    try:
+        if path.is_dir():
+            folder = path.resolve()
+            if version is None and is_version_folder(folder):
+                folder, version = folder.parent, folder.name
+            return rig_of_dataset(open_dataset(folder if version else path, version), scenes, size_of)
+        if looks_like_path or path.is_file():
+            return load_rig(path), []
+    except (OSError, ValueError) as error:
+        if isinstance(error, UnidriveError):
+            raise
+        raise RigError(f"cannot be read: {error}.", where=text[:200]) from error
     return load_gallery_rig(text), []

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Protocol
 
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.schema import Sample, SampleAnnotation
+from unidrive_cli.tables.schema import SampleAnnotation
 
 
 class Linked(Protocol):
@@ -84,7 +84,7 @@ def mended_instances(dataset: Dataset, kept_annotations: Collection[str]) -> Ite
     annotated = set()
 
     def time(row: SampleAnnotation) -> float:
-        return _sample(samples, row).timestamp
+        return samples[row.sample_token].timestamp
 
     for row in dataset.sample_annotation.rows:
         token = row.instance_token
@@ -116,10 +116,6 @@ def mended_instances(dataset: Dataset, kept_annotations: Collection[str]) -> Ite
                 }
             ),
         )
-
-
-def _sample(samples: dict[str, Sample], row: SampleAnnotation) -> Sample:
-    return samples[row.sample_token]
 
 
 def _differences(fields: dict[str, tuple[Any, Any]]) -> dict[str, Any]:

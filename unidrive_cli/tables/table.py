@@ -10,7 +10,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -72,6 +72,11 @@ class Table(Generic[R]):
                 hint="The dataset is incomplete or was written by a broken converter.",
             )
         return row
+
+    def extended(self, records: Iterable[dict[str, Any]]) -> Table[R]:
+        """The table with further full records at its end; the digest stays that of the file."""
+        added: Table[R] = table_of(self.name, records)
+        return replace(self, rows=[*self.rows, *added.rows], raw=[*self.raw, *added.raw])
 
     def place(self, row: Row, field: str) -> str:
         """How an error sentence names a field of a row."""

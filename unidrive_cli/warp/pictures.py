@@ -50,13 +50,7 @@ def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture
     Raises:
         PictureError: broken, truncated, of another format or size.
     """
-    size = picture_size(data, where)
-    if size != size_px:
-        raise PictureError(
-            f"is {size[0]}x{size[1]} pixels, but its tables say {size_px[0]}x{size_px[1]}.",
-            where=where,
-            hint="The intrinsics would not fit; correct the tables or the picture.",
-        )
+    check_size(data, size_px, where)
     if data.startswith(_JPEG_MAGIC):
         try:
             picture: Picture = simplejpeg.decode_jpeg(data, colorspace="BGR")
@@ -69,6 +63,21 @@ def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture
     if decoded is None:
         raise PictureError("is a broken PNG file.", where=where)
     return np.asarray(decoded, dtype=np.uint8)
+
+
+def check_size(data: bytes, size_px: tuple[int, int], where: str) -> None:
+    """Refuses a picture whose header says another size than (width, height) in pixels.
+
+    Raises:
+        PictureError: it does, or has no header.
+    """
+    size = picture_size(data, where)
+    if size != size_px:
+        raise PictureError(
+            f"is {size[0]}x{size[1]} pixels, but its tables say {size_px[0]}x{size_px[1]}.",
+            where=where,
+            hint="The intrinsics would not fit; correct the tables or the picture.",
+        )
 
 
 def encode_jpeg(picture: Picture, quality: int) -> bytes:
