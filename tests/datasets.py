@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -155,13 +156,14 @@ class Bench:
     def refused(self, code: int, *words: str, **how: Any) -> Run:
         """Runs `convert`, which must stop with an exit code and a sentence with these words, and write nothing."""
         target = how.get("dst") or self.dst
-        existed, before = target.exists(), tree(target)
+        existed, before = os.path.exists(target), tree(target)  # noqa: PTH110 (a name may be too long for Path)
         run = self.convert(*how.pop("options", ()), **how)
         assert run.code == code, run.stdout + run.stderr
         for word in words:
             assert word in run.said, f"{word!r} is not in {run.said!r}"
         assert run.stdout == ""
-        assert (target.exists(), tree(target)) == (existed, before), "DST was touched"
+        assert tree(target) == before, "DST was touched"
+        assert os.path.exists(target) == existed  # noqa: PTH110
         return run
 
     def converted(self, *options: object, **how: Any) -> Run:

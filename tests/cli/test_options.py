@@ -99,6 +99,7 @@ def test_every_option_has_its_variable(bench: Bench) -> None:
         "masks": "none",
         "visibility": "keep",
         "unseen_boxes": "drop",
+        "link": "hardlink",
     }
     assert json.loads((bench.dst / "unidrive.json").read_text())["rig"]["name"] == "small"
 

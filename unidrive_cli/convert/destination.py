@@ -114,6 +114,8 @@ def resolved_destination(root: Path) -> Path:
     """
     try:
         path = root.resolve()
+        if root.is_symlink() and not path.exists():
+            raise OutputError("is a link that leads nowhere.", where=str(root))
         path.exists()
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -66,11 +67,16 @@ def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) 
         OutputError: it cannot be written.
     """
     source, target = dataset.root / filename, destination.root / filename
-    if not source.is_file():
-        return False
+    try:
+        if not source.is_file():
+            return False
+        real = source.resolve()
+        if how != "symlink" and not os.access(real, os.R_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(source)) from error
     if os.path.lexists(target):
         return True
-    real = source.resolve()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         if how == "symlink":
@@ -80,8 +86,6 @@ def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) 
             shutil.copyfile(real, temporary)
             temporary.replace(target)
     except OSError as error:
-        if error.filename == str(real):
-            raise DatasetError(f"cannot be read: {error.strerror}.", where=str(source)) from error
         raise OutputError(
             f"cannot be written: {error.strerror}.",
             where=str(target),

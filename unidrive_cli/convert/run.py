@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 from unidrive_cli.convert.destination import (
@@ -118,12 +121,17 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
         return
     import joblib
     from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.backend import resource_tracker as loky_tracker
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     parallel = joblib.Parallel(n_jobs=min(plan.options.jobs, len(units)), return_as="generator_unordered")
     frames: Iterator[Frame | Failure] = (_frame(plan, unit, skip=skip) for unit in units)
     try:
-        yield from parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+        resource_tracker.ensure_running()  # the start of either would let interrupts through again
+        loky_tracker.ensure_running()
+        with _interrupts_held():
+            outcomes = parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+        yield from outcomes
     except KeyboardInterrupt:
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
         raise
@@ -132,6 +140,17 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
             "a worker process was killed, most likely because memory ran out.",
             hint="The same command continues; try fewer --jobs.",
         ) from error
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits; processes started meanwhile never see it: this one ends them, without their tracebacks."""
+    interrupts = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, interrupts)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts)
 
 
 def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:

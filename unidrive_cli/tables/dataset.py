@@ -243,7 +243,8 @@ def _open(folder: Path) -> Dataset:
             records = _minimal_records(name, tables)
             tables[name] = table_of(name, records)
             notes.append(f"{name}.json is missing; {len(records)} rows are assumed.")
-    if any(row.category_token == NO_CATEGORY for row in tables["instance"].rows):
+    categories = {row.token for row in tables["category"].rows}
+    if any(row.category_token == NO_CATEGORY for row in tables["instance"].rows) and NO_CATEGORY not in categories:
         unknown = {"token": NO_CATEGORY, "name": "unknown", "description": ""}
         tables["category"] = tables["category"].extended([unknown])
     unmapped = {row.token for row in tables["log"].rows}.difference(*(row.log_tokens for row in tables["map"].rows))
@@ -325,7 +326,7 @@ def _minimal_records(name: str, tables: dict[str, Table[Any]]) -> list[dict[str,
             for token in tokens
         ]
     if name == "category":
-        tokens = [token for token in wanted("instance", "category_token") if token != NO_CATEGORY]
+        tokens = wanted("instance", "category_token")
         return [{"token": token, "name": "unknown", "description": ""} for token in tokens]
     if name == "attribute":
         tokens = sorted({token for row in tables["sample_annotation"].rows for token in row.attribute_tokens})

@@ -59,6 +59,8 @@ class Inside:
         folder = os.path.dirname(full)
         if folder not in self._safe_folders:
             self._refuse_outside(folder, filename, where)
+            if os.path.isdir(folder) and not os.access(folder, os.X_OK):
+                raise DatasetError(f"the folder {folder} cannot be read: permission denied.", where=where)
             self._safe_folders.add(folder)
         if os.path.islink(full):
             self._refuse_outside(full, filename, where)

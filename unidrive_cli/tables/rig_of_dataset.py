@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from unidrive_cli.errors import DatasetError, RigError, UnidriveError
+from unidrive_cli.errors import DatasetError, RigError, UnidriveError, UsageError
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
@@ -95,11 +95,22 @@ def rig_of_dataset(
             f"{dataset.folder} holds {len(rigs)} different calibrations; the most frequent one is taken "
             f"({count} of {total} samples)."
         )
-    return Rig(dataset.root.resolve().name, f"the calibrated cameras of {dataset.version}", cameras), notes
+    name = dataset.root.resolve().name.encode(errors="replace").decode()
+    return Rig(name, f"the calibrated cameras of {dataset.version}", cameras), notes
 
 
 def _content(row: CalibratedSensor) -> str:
     return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
+
+
+def _open(folder: Path, version: str | None) -> Dataset:
+    try:
+        return open_dataset(folder, version)
+    except UsageError as error:
+        if version is not None:
+            raise
+        hint = f"Name one of them: {folder}/<version folder>."
+        raise UsageError(error.what, where=error.where, hint=hint) from error
 
 
 def resolve_rig(
@@ -130,7 +141,7 @@ def resolve_rig(
             folder = path.resolve()
             if version is None and is_version_folder(folder):
                 folder, version = folder.parent, folder.name
-            return rig_of_dataset(open_dataset(folder if version else path, version), scenes, size_of)
+            return rig_of_dataset(_open(path if version is None else folder, version), scenes, size_of)
         if looks_like_path or path.is_file():
             return load_rig(path), []
     except (OSError, ValueError) as error:
