@@ -34,7 +34,8 @@ from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.tables.rig_of_dataset import resolve_rig
 from unidrive_cli.warp.remap import Source
 
-DATA = Path(__file__).parents[1] / ".." / "shared" / "data" / "nuscenes-onekeyframe"
+SHARED = os.environ.get("UNIDRIVE_TEST_DATA") or Path(__file__).parents[1] / ".." / "shared" / "data"
+DATA = Path(SHARED) / "nuscenes-onekeyframe"
 QUALITY = 95
 
 
@@ -94,6 +95,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--out", type=Path, help="also write the JSON there")
     chosen = parser.parse_args()
+    if not chosen.data.is_dir():
+        parser.error(
+            f"{chosen.data} is not there: name a nuScenes-format dataset with --data, or set UNIDRIVE_TEST_DATA"
+        )
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

@@ -21,7 +21,7 @@ def shown(
 ) -> tuple[float, list[tuple[float, float, float, float]]]:
     boxes_pose = pose(np.eye(3), centre_m)[None]
     sources = [Source(source.lens, inverse(source.ego_from_cam))]
-    share, boxes = seen_boxes(boxes_pose, np.array([size_wlh_m]), sources, [(AHEAD, mask)])
+    share, _, boxes = seen_boxes(boxes_pose, np.array([size_wlh_m]), sources, [(AHEAD, mask)])
     return share[0], [(box.left, box.top, box.right, box.bottom) for box in boxes]
 
 
@@ -83,4 +83,4 @@ def test_what_no_source_saw_is_not_lowered_where_the_virtual_rig_shows_it() -> N
 
 
 def test_no_boxes() -> None:
-    assert seen_boxes(np.zeros((0, 4, 4)), np.zeros((0, 3)), [], [(AHEAD, ALL)]) == ([], [])
+    assert seen_boxes(np.zeros((0, 4, 4)), np.zeros((0, 3)), [], [(AHEAD, ALL)]) == ([], 0, [])

@@ -126,6 +126,8 @@ def convert_command(
         check_destination(resolved_destination(dst), plan.identity, force=force)
         _say_plan(plan, dst, as_json, free=free_bytes(dst), links=same_device(src, dst))
         return
+    if options.link == "hardlink" and not same_device(src, dst):
+        typer.echo("note: DST is on another file system: files that do not change are copied, not linked", err=True)
     with Progress("samples", sys.stderr) as progress:
         summary = convert(plan, dst, force=force, progress=progress)
     if as_json:
@@ -197,13 +199,14 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
     if counts.visibility_lowered:
         typer.echo(f"visibility lowered for {counts.visibility_lowered:,} of {counts.annotations:,} annotations")
     if counts.boxes_unseen:
-        fate = "left out" if counts.boxes_dropped else "kept with the lowest visibility"
-        typer.echo(f"{plural(counts.boxes_unseen, 'annotation')} shown by no virtual pixel: {fate}")
+        fate = "kept" if not counts.boxes_dropped else "left out"
+        unwitnessed = f"no source camera saw {counts.boxes_unwitnessed:,} of all"
+        typer.echo(f"{plural(counts.boxes_unseen, 'annotation')} shown by no virtual pixel, {fate}; {unwitnessed}")
     for note in summary.notes:
         typer.echo(f"note: {note}")
     if summary.verified:
         verified = summary.verified
         typer.echo(
-            f"verified: nuscenes-devkit opens it; {verified.tables} tables, {verified.pictures_decoded:,} of "
-            f"{verified.pictures_present:,} pictures decoded"
+            f"verified: nuscenes-devkit opens it; {verified.pictures_decoded:,} of "
+            f"{plural(verified.pictures_present, 'picture')} decoded"
         )

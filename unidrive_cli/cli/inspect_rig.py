@@ -51,7 +51,7 @@ def _say(facts: RigFacts) -> None:
             camera.channel,
             f"{camera.width_px}x{camera.height_px}",
             *(
-                f"{angle:.1f}"
+                f"{round(angle, 1) + 0.0:.1f}"
                 for angle in (
                     camera.hfov_deg,
                     camera.vfov_deg,
@@ -60,7 +60,7 @@ def _say(facts: RigFacts) -> None:
                     camera.roll_deg,
                 )
             ),
-            *(f"{metres:.2f}" for metres in camera.position_m),
+            *(f"{round(metres, 2) + 0.0:.2f}" for metres in camera.position_m),
         )
         for camera in facts.cameras
     ]

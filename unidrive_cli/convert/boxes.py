@@ -38,7 +38,7 @@ def seen_boxes(
     sizes_wlh_m: Float,
     witnesses: Sequence[Source],
     views: Sequence[tuple[Camera, npt.NDArray[np.uint8]]],
-) -> tuple[list[float], list[Box2d]]:
+) -> tuple[list[float], int, list[Box2d]]:
     """What the virtual rig shows of each box, beside what the real cameras saw.
 
     The shares are of a box's volume, on a regular grid of 125 points; occlusion is not known here.
@@ -51,11 +51,12 @@ def seen_boxes(
 
     Returns:
         Per box, (seen by the virtual rig) / (seen by the real cameras), at most 1, and 0 only where no
-        covered virtual pixel shows the box; and the 2D boxes on covered pixels.
+        covered virtual pixel shows the box; how many boxes no real camera saw; and the 2D boxes on
+        covered pixels.
     """
     count = len(sizes_wlh_m)
     if not count:
-        return [], []
+        return [], 0, []
     points = box_geometry.grid(ego_from_box, sizes_wlh_m, _GRID)
     corners = box_geometry.corners(ego_from_box, sizes_wlh_m)
     by_sources = np.zeros(points.shape[:2], dtype=bool)
@@ -77,7 +78,7 @@ def seen_boxes(
         max(round(float(share[annotation]), 4), _MIN_SHARE) if annotation in shown_anywhere else 0.0
         for annotation in range(count)
     ]
-    return shown, boxes
+    return shown, int(np.count_nonzero(source == 0)), boxes
 
 
 def _ahead(cam_from_ego: Float, corners_ego: Float) -> npt.NDArray[np.intp]:

@@ -31,6 +31,7 @@ from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
 
+LOW_COVERAGE = 0.01
 _KEPT = ("covered", "picture_bytes", "files_carried", "files_missing", "notes")
 
 
@@ -210,9 +211,13 @@ def _summary(
 
     kept = [receipts[unit.sample.token] for unit in plan.units if unit.sample.token in receipts]
     means = np.mean([receipt.covered for receipt in kept], axis=0) if kept else np.zeros(len(plan.rig.cameras))
+    covered = {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)}
+    black = [channel for channel, share in covered.items() if share < LOW_COVERAGE]
+    if black:
+        notes.append(f"{', '.join(black)}: almost nothing of these pictures is covered; they are black.")
     return Summary(
         counts,
-        {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)},
+        covered,
         sum(sum(receipt.picture_bytes) for receipt in kept),
         carried,
         missing,

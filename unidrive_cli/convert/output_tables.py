@@ -24,12 +24,18 @@ IMAGE_ANNOTATIONS = "image_annotations"
 
 @dataclass
 class Counts:
-    """How many rows and boxes the output has, and what happened to them."""
+    """How many rows and boxes the output has, and what happened to them.
+
+    Attributes:
+        boxes_unseen: boxes that no covered virtual pixel shows.
+        boxes_unwitnessed: boxes that no real camera of their sample saw either.
+    """
 
     samples: int = 0
     annotations: int = 0
     visibility_lowered: int = 0
     boxes_unseen: int = 0
+    boxes_unwitnessed: int = 0
     boxes_dropped: int = 0
     boxes_2d: int = 0
     tables: dict[str, int] = field(default_factory=dict)
@@ -71,18 +77,18 @@ class OutputTables:
     @cached_property
     def annotation_fates(self) -> dict[str, str | None]:
         """Visibility token of every annotation that stays, by token."""
-        options, fates = self._plan.options, {}
+        drop = self._plan.options.unseen_boxes == "drop"
+        return {
+            row.token: self._visibility(row, shown)
+            for row, shown in self._annotations_shown()
+            if shown > 0 or not drop
+        }
+
+    def _annotations_shown(self) -> Iterator[tuple[SampleAnnotation, float]]:
+        """Every annotation of the samples that stay, with the share of it that is shown."""
         for unit in self._units:
             rows = self._dataset.annotations.get(unit.sample.token, [])
-            for row, shown in zip(rows, self._receipts[unit.sample.token].shown, strict=True):
-                self.counts.boxes_unseen += shown == 0
-                if shown == 0 and options.unseen_boxes == "drop":
-                    self.counts.boxes_dropped += 1
-                    continue
-                fates[row.token] = self._visibility(row, shown)
-                self.counts.visibility_lowered += fates[row.token] != row.visibility_token
-        self.counts.annotations = len(fates)
-        return fates
+            yield from zip(rows, self._receipts[unit.sample.token].shown, strict=True)
 
     def _visibility(self, row: SampleAnnotation, shown: float) -> str | None:
         if self._plan.options.visibility == "keep":
@@ -90,8 +96,9 @@ class OutputTables:
         return self._levels.lowered(row.visibility_token, shown)
 
     def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
-        """Calls `write_table(name, rows)` for every table of the output."""
+        """Calls `write_table(name, rows)` for every table of the output, and counts."""
         fates = self.annotation_fates
+        changes = self._changed_annotations()
         rows: dict[str, Iterable[RawRow]] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
@@ -110,6 +117,13 @@ class OutputTables:
             rows[name] = getattr(self._dataset, name).raw
         for name in sorted(rows):
             self.counts.tables[name] = write_table(name, rows[name])
+        receipts = [self._receipts[unit.sample.token] for unit in self._units]
+        self.counts.annotations = len(fates)
+        self.counts.visibility_lowered = sum("visibility_token" in fields for fields in changes.values())
+        self.counts.boxes_unseen = sum(receipt.shown.count(0.0) for receipt in receipts)
+        self.counts.boxes_unwitnessed = sum(receipt.unwitnessed for receipt in receipts)
+        self.counts.boxes_dropped = sum(len(receipt.shown) for receipt in receipts) - len(fates)
+        self.counts.boxes_2d = self.counts.tables[IMAGE_ANNOTATIONS]
 
     def extra_tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
         """(name, rows that stay) of the source's extra tables.
@@ -197,7 +211,6 @@ class OutputTables:
                 row = annotations[box.annotation]
                 if row.token not in fates:
                     continue
-                self.counts.boxes_2d += 1
                 mended = links.get(row.token, {})
                 yield _row(
                     attribute_tokens=row.attribute_tokens,

@@ -14,7 +14,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import simplejpeg
 
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
@@ -97,7 +99,7 @@ class Plan:
             "source": {"version": self.dataset.version, "digest": self.dataset.digest},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity(),
-            "codec": {"decode": "simplejpeg", "encode": "opencv"},
+            "codec": {"decode": f"simplejpeg {simplejpeg.__version__}", "encode": f"opencv {cv2.__version__}"},
             "kernel": "opencv-fixed-point",
         }
 
@@ -189,8 +191,8 @@ def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
     notes = []
     if sorted(rig.channels) != sorted(STANDARD_CHANNELS):
         notes.append(
-            f"{len(rig.cameras)} cameras named {', '.join(rig.channels)}: BEVDet, PETR, BEVFormer and mmdetection3d "
-            "expect the six nuScenes channels and must be told (TRAINING.md)."
+            f"The rig has {len(rig.cameras)} cameras ({', '.join(rig.channels)}): BEVDet, PETR, BEVFormer and "
+            "mmdetection3d expect the six nuScenes channels and must be told (TRAINING.md)."
         )
     sizes = {(camera.lens.width_px, camera.lens.height_px) for camera in rig.cameras}
     if len(sizes) > 1:

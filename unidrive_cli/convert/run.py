@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
 
+import cv2
+
 from unidrive_cli.convert.destination import (
     Destination,
     abandon,
@@ -130,7 +132,7 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
         resource_tracker.ensure_running()  # the start of either would let interrupts through again
         loky_tracker.ensure_running()
         with _interrupts_held():
-            outcomes = parallel(joblib.delayed(_attempt)(job, frame, skip) for frame in frames)
+            outcomes = parallel(joblib.delayed(_attempt_in_worker)(job, frame, skip) for frame in frames)
         yield from outcomes
     except KeyboardInterrupt:
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
@@ -160,6 +162,11 @@ def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
         if not skip:
             raise
         return Failure(unit.sample.token, str(error))
+
+
+def _attempt_in_worker(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
+    cv2.setNumThreads(1)  # one process per core
+    return _attempt(job, frame, skip)
 
 
 def _attempt(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:

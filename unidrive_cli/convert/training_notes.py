@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, lidar_notes
 
+OFFICIAL_VERSIONS = ("v1.0-mini", "v1.0-trainval", "v1.0-test")
+
 
 def training_notes(plan: Plan) -> str:
     """Markdown text: names, sizes, and the configuration lines that differ from nuScenes' own."""
@@ -35,9 +37,17 @@ def training_notes(plan: Plan) -> str:
             f"- mmdetection3d's 2D boxes assume 1600x900: its converter needs ({lens.width_px}, {lens.height_px}).",
         ]
     lines += [
-        "- Black pixels were seen by no source camera; `masks/` says which (non-zero = seen).",
+        "- Black pixels were seen by no source camera"
+        + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
+        "- Boxes that the virtual rig does not show are "
+        + ("left out." if plan.options.unseen_boxes == "drop" else "kept with the lowest visibility: filter on it."),
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
         f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
     ]
+    if plan.dataset.version not in OFFICIAL_VERSIONS:
+        lines.append(
+            f"- The version folder `{plan.dataset.version}` is none of {', '.join(OFFICIAL_VERSIONS)}: the devkit's splits "
+            "and most converters accept only those, with nuScenes' own scene names; give them your own split."
+        )
     lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"

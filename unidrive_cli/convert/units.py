@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import msgspec
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
@@ -83,6 +82,7 @@ class Receipt(msgspec.Struct, frozen=True):
         picture_bytes: size of each picture's file.
         shown: per box, the share of what the source cameras see of it that the virtual rig still
             shows, 0 to 1; 0 where no virtual pixel shows it.
+        unwitnessed: how many boxes no real camera saw.
         boxes: 2D boxes.
     """
 
@@ -90,6 +90,7 @@ class Receipt(msgspec.Struct, frozen=True):
     covered: list[float]
     picture_bytes: list[int]
     shown: list[float]
+    unwitnessed: int
     boxes: list[Box2d]
 
 
@@ -131,13 +132,15 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         job.destination.write(name, data)
         if job.masks == "frame":
             job.destination.write(mask_name(name), view.mask_png)
-    shown, boxes = seen_boxes(
+    shown, unwitnessed, boxes = seen_boxes(
         frame.ego_from_box,
         frame.box_sizes_m,
         frame.witnesses,
         [(camera, view.mask) for camera, view in zip(job.rig.cameras, tables, strict=True)],
     )
-    receipt = Receipt(frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, boxes)
+    receipt = Receipt(
+        frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, unwitnessed, boxes
+    )
     job.destination.write(receipt_name(frame.sample_token), msgspec.json.encode(receipt))
     return receipt
 
@@ -169,5 +172,4 @@ def read_picture(path: str, source: Source) -> Picture:
 @functools.lru_cache(maxsize=1)
 def renderer_of(job: Job) -> Renderer:
     """The job's renderer: one per worker process, because its tables outlive a unit."""
-    cv2.setNumThreads(1)
     return Renderer(job.rig, job.depth_limit_m, job.ground_height_m, job.blend)

@@ -16,22 +16,24 @@ _TOLERANCE = 1e-9
 class VisibilityLevels:
     """The levels of a visibility table, each known by its upper bound.
 
-    A level that is needed and missing is added with nuScenes' own token (`added`).
+    A level of nuScenes' own that the table lacks is offered too, under nuScenes' token, and `added` if used.
     """
 
     def __init__(self, rows: Sequence[Visibility]) -> None:
         self._upper = {row.token: upper for row in rows if (upper := _upper_bound(row.level)) is not None}
-        self._tokens = {row.token for row in rows}
-        self.added: list[dict[str, Any]] = []
-        self._complete()
+        tokens, levels = {row.token for row in rows}, set(self._upper.values())
+        self._offered = {
+            record["token"]: record
+            for record in NUSCENES_VISIBILITY
+            if _upper_bound(record["level"]) not in levels and record["token"] not in tokens
+        }
+        self._upper.update({token: _upper_bound(row["level"]) or 0.0 for token, row in self._offered.items()})
+        self._used: set[str] = set()
 
-    def _complete(self) -> None:
-        for record in NUSCENES_VISIBILITY:
-            upper = _upper_bound(record["level"])
-            token = record["token"]
-            if upper not in self._upper.values() and token not in self._tokens and upper is not None:
-                self._upper[token] = upper
-                self.added.append(dict(record))
+    @property
+    def added(self) -> list[dict[str, Any]]:
+        """Full rows of the levels that were used and that the table does not have."""
+        return [record for token, record in self._offered.items() if token in self._used]
 
     def lowered(self, token: str | None, shown: float) -> str | None:
         """The token for a box of which the virtual rig shows the share `shown` of what the sources saw.
@@ -40,20 +42,17 @@ class VisibilityLevels:
         now. Never raised; unknown levels stay, unless nothing is shown.
         """
         upper = self._upper.get(token or "")
-        if shown == 0.0:
-            return self._lowest(token)
-        if upper is None or shown >= 1.0:
+        if shown > 0 and (upper is None or shown >= 1.0):
             return token
-        bound = upper * shown
-        fitting = [(level, name) for name, level in self._upper.items() if level >= bound - _TOLERANCE]
-        level, name = min(fitting)
-        return name if level < upper else token
-
-    def _lowest(self, token: str | None) -> str | None:
-        if not self._upper:
+        bound = (upper or 0.0) * shown - _TOLERANCE
+        fitting = [(level, name) for name, level in self._upper.items() if level >= bound]
+        level, lower = min(fitting, default=(1.0, token))
+        if lower is None or lower == token:
             return token
-        level, name = min((level, name) for name, level in self._upper.items())
-        return name if level < self._upper.get(token or "", 2.0) else token
+        if upper is not None and level >= upper:
+            return token
+        self._used.add(lower)
+        return lower
 
 
 def _upper_bound(level: str | int) -> float | None:

@@ -117,7 +117,7 @@ class Patch:
 def build_patches(view: VirtualView, sources: Sequence[Source], blend: Blend) -> list[Patch]:
     """The remap tables of one virtual camera: one patch per source that it overlaps with.
 
-    With `angular`, shares below 1/512 are dropped: they could not change an 8-bit pixel by half a
+    With `angular`, shares below 1/512 are dropped: each could change an 8-bit pixel by at most half a
     level. With `nearest`, each pixel belongs to the source with the largest weight. The patches are
     cropped to what remains.
     """
