@@ -46,8 +46,8 @@ def training_notes(plan: Plan) -> str:
     ]
     if plan.dataset.version not in OFFICIAL_VERSIONS:
         lines.append(
-            f"- The version folder `{plan.dataset.version}` is none of {', '.join(OFFICIAL_VERSIONS)}: the devkit's splits "
-            "and most converters accept only those, with nuScenes' own scene names; give them your own split."
+            f"- The version folder `{plan.dataset.version}` is none of {', '.join(OFFICIAL_VERSIONS)}: the devkit's "
+            "splits and most converters accept only those, with nuScenes' own scene names; give them your own split."
         )
     lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"
