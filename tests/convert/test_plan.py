@@ -14,9 +14,10 @@ import pytest
 from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import Plan, make_plan
-from unidrive_cli.errors import UsageError
+from unidrive_cli.errors import DatasetError, UsageError
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 
 Rows = list[dict[str, Any]]
 
@@ -108,6 +109,23 @@ def test_names_follow_nuscenes_and_never_collide(drive: Path) -> None:
     names = [name for unit in plan_of(drive).units for name in unit.pictures]
     assert len(set(names)) == len(names) == 12
     assert all(name.count("/") == 2 and ".." not in name for name in names)
+
+
+def test_odd_channel_names_of_the_source_do_no_harm_but_cannot_be_a_rig(drive: Path) -> None:
+    def rename(rows: Rows) -> None:
+        next(row for row in rows if row["channel"] == "CAM_FRONT")["channel"] = "../front camera"
+
+    edit(drive, "sensor", rename)
+    plan = plan_of(drive)
+    assert len(plan.frame(plan.units[0]).sources) == 6
+    with pytest.raises(DatasetError, match=r"sensor\.json.*field channel.*'../front camera' is not a channel name"):
+        rig_of_dataset(plan.dataset)
+
+
+def test_the_visibility_refers_to_all_cameras_whatever_is_rendered_from(drive: Path) -> None:
+    plan = plan_of(drive, cameras=("CAM_FRONT",))
+    frame = plan.frame(plan.units[0])
+    assert (len(frame.sources), len(frame.witnesses)) == (1, 6)
 
 
 def test_an_own_rig_of_five_cameras_is_said_to_break_trainers(drive: Path) -> None:

@@ -166,10 +166,11 @@ def _carry_files(
 ) -> tuple[int, int]:
     carried = missing = 0
     example = ""
+    maps = {row.filename for row in plan.dataset.map.rows}
     for filename in carried_files(plan.dataset, tables.kept_sample_data.values(), extra_files):
         if carry(plan.dataset, filename, destination, plan.options.link):
             carried += 1
-        elif filename not in {row.filename for row in plan.dataset.map.rows}:
+        elif filename not in maps:
             missing += 1
             example = example or filename
     if missing:

@@ -106,10 +106,8 @@ class OutputTables:
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
             "scene": self._indexed(self._dataset.scene, mended_scenes(self._dataset, self.kept_samples)),
-            "sample_annotation": self._linked_rows(
-                self._dataset.sample_annotation, set(fates), self._changed_annotations()
-            ),
-            "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, set(fates))),
+            "sample_annotation": self._linked_rows(self._dataset.sample_annotation, fates, changes),
+            "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, fates)),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }

@@ -31,7 +31,7 @@ from unidrive_cli.geometry.poses import inverse, relative
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.rig_of_dataset import camera_of
+from unidrive_cli.tables.rig_of_dataset import lens_and_pose
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
 from unidrive_cli.warp.pictures import check_size, picture_size
 from unidrive_cli.warp.remap import Source
@@ -126,11 +126,11 @@ class Plan:
         )
 
     def _source(self, row: SampleData, global_from_ego: Float) -> Source:
-        camera = camera_of(self.dataset, row, picture_size_of(self.dataset, row))
-        cam_from_ego = inverse(camera.ego_from_cam)
+        lens, ego_from_cam = lens_and_pose(self.dataset, row, picture_size_of(self.dataset, row))
+        cam_from_ego = inverse(ego_from_cam)
         if self.options.ego_motion:
             cam_from_ego = cam_from_ego @ relative(self.dataset.global_from_ego(row), global_from_ego)
-        return Source(camera.lens, cam_from_ego)
+        return Source(lens, cam_from_ego)
 
     def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
         rows = self.dataset.annotations.get(unit.sample.token, [])
@@ -329,11 +329,11 @@ def _check_cameras(plan: Plan) -> None:
                 continue
             seen.add(calibration)
             if row.width and row.height:
-                camera_of(dataset, row, (row.width, row.height))
+                lens_and_pose(dataset, row, (row.width, row.height))
                 if stop:
                     check_size(read_head(path), (row.width, row.height), str(path))
             elif stop:
-                camera_of(dataset, row, picture_size_of(dataset, row))
+                lens_and_pose(dataset, row, picture_size_of(dataset, row))
 
 
 def _refuse_missing(path: Path, place: str) -> None:

@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from unidrive_cli.errors import DatasetError, RigError, UnidriveError, UsageError
+from unidrive_cli.errors import DatasetError, GeometryError, RigError, UnidriveError, UsageError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
@@ -15,8 +17,8 @@ from unidrive_cli.tables.dataset import Dataset, is_version_folder, open_dataset
 from unidrive_cli.tables.schema import CalibratedSensor, SampleData
 
 
-def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Camera:
-    """The camera that took a picture: its channel, lens and pose on the vehicle.
+def lens_and_pose(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> tuple[Pinhole, Float]:
+    """Lens, and `ego_from_cam` (4, 4), of the camera that took a picture of (width, height) pixels.
 
     Raises:
         DatasetError: dangling tokens, or numbers that are no camera.
@@ -24,11 +26,21 @@ def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Ca
     calibration = dataset.calibrated_sensor.get(
         row.calibrated_sensor_token, dataset.sample_data.place(row, "calibrated_sensor_token")
     )
-    return Camera(
-        dataset.sensor_of(row).channel,
-        dataset.lens(calibration, *size_px),
-        dataset.ego_from_sensor(calibration),
-    )
+    return dataset.lens(calibration, *size_px), dataset.ego_from_sensor(calibration)
+
+
+def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Camera:
+    """The camera that took a picture: its channel, lens and pose on the vehicle.
+
+    Raises:
+        DatasetError: dangling tokens, numbers that are no camera, or a channel that cannot be a folder.
+    """
+    sensor = dataset.sensor_of(row)
+    lens, ego_from_cam = lens_and_pose(dataset, row, size_px)
+    try:
+        return Camera(sensor.channel, lens, ego_from_cam)
+    except GeometryError as error:
+        raise DatasetError(error.what, where=dataset.sensor.place(sensor, "channel")) from error
 
 
 SizeOf = Callable[[Dataset, SampleData], tuple[int, int]]
