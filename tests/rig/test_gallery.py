@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -145,3 +149,14 @@ def test_an_unknown_name_is_refused_with_a_guess_and_the_list(asked: str, guess:
 def test_only_the_names_themselves_are_names(name: str) -> None:
     with pytest.raises(RigError):
         load_gallery_rig(name)
+
+
+def test_every_processor_gives_the_same_digests() -> None:
+    """A dataset begun on one machine is finished on another: their widest vector units round differently."""
+    code = "from unidrive_cli.rig.gallery import *; print([load_gallery_rig(n).digest for n in gallery_names()])"
+    plain = {**os.environ, "NPY_DISABLE_CPU_FEATURES": "AVX512F AVX512CD AVX512_SKX AVX2 FMA3"}
+    here, there = (
+        subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True).stdout
+        for env in (dict(os.environ), plain)
+    )
+    assert here == there

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,11 +19,12 @@ RUN = "run.json"
 TRAINING = "TRAINING.md"
 WORK = ".unidrive"
 KEPT_WORK = ".unidrive-done"
+OLD = ".unidrive-old"
 RECEIPTS = "receipts"
 PLAN = "plan.json"
 MARKER = "UNFINISHED.txt"
 MASKS = "masks"
-RESERVED = (PROVENANCE, RUN, TRAINING, WORK, KEPT_WORK, MARKER, MASKS)
+RESERVED = (PROVENANCE, RUN, TRAINING, WORK, KEPT_WORK, OLD, MARKER, MASKS)
 """Names at the top of DST that no file of the source may take."""
 _MARKER_TEXT = "unidrive convert has not finished here. Run the same command again to complete this dataset.\n"
 
@@ -32,12 +35,10 @@ class Destination:
 
     Attributes:
         root: DST, an absolute path without links.
-        made: the topmost folder that this run made for it; None where DST was there.
         started: whether this run put the first things into it.
     """
 
     root: Path
-    made: Path | None = None
     started: bool = False
 
     @property
@@ -148,7 +149,7 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> b
             return False
         if not root.is_dir():
             raise OutputError("is a file; a folder was expected.", where=str(root))
-        if {entry.name for entry in root.iterdir()} <= {WORK, MARKER} and not (root / WORK / PLAN).exists():
+        if {entry.name for entry in root.iterdir()} <= {WORK, MARKER, OLD} and not (root / WORK / PLAN).exists():
             return False
         held = _held_identity(Destination(root))
     except OSError as error:
@@ -167,29 +168,61 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> b
     return held == identity
 
 
-def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> Destination:
-    """Makes DST ready for the units; an old tree that is replaced is renamed before it is deleted.
+@contextlib.contextmanager
+def held(root: Path) -> Iterator[None]:
+    """Makes DST and holds it for this process: a second conversion into it is refused.
+
+    The hold ends with the process, however it ends. A folder that was made and stays empty is removed.
 
     Args:
         root: `resolved_destination`.
+
+    Raises:
+        OutputError: DST cannot be made, or another process holds it.
+    """
+    missing = [place for place in (root, *root.parents) if not place.exists()]
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(descriptor)
+        raise OutputError(
+            "another unidrive convert is writing here.", where=str(root), hint="Wait until it has ended, or stop it."
+        ) from error
+    except OSError:
+        pass  # a file system without locks
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+        with contextlib.suppress(OSError):
+            for place in missing:
+                place.rmdir()
+
+
+def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> Destination:
+    """Makes DST ready for the units; an old tree that is replaced is moved aside before it is deleted.
+
+    Args:
+        root: `resolved_destination`, which this process holds.
         same: DST holds this very conversion (`check_destination`).
         force: start over even so.
 
     Raises:
         OutputError: DST cannot be written.
     """
-    old = root.with_name(f".{root.name}.unidrive-old")
     try:
-        if old.exists():
-            shutil.rmtree(old)
-        if root.exists() and (force or not same) and any(root.iterdir()):
-            root.rename(old)
-            shutil.rmtree(old)
-        destination = Destination(root, _topmost_missing(root), started=not (root / WORK).exists())
+        if force or not same:
+            _clear(root)
+        destination = Destination(root, started=not (root / WORK).exists())
         if destination.kept_work.exists() and destination.started:
             destination = Destination(root)
             destination.kept_work.rename(destination.work)
-        destination.work.mkdir(parents=True, exist_ok=True)
+        destination.work.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
     try:
@@ -231,17 +264,7 @@ def abandon(destination: Destination) -> None:
     if not destination.started or finished_units or (destination.root / PROVENANCE).exists():
         return
     with contextlib.suppress(OSError):
-        for entry in destination.root.iterdir():
-            if entry.is_dir() and not entry.is_symlink():
-                shutil.rmtree(entry, ignore_errors=True)
-            else:
-                entry.unlink()
-        place = destination.root
-        while destination.made is not None:
-            place.rmdir()
-            if place == destination.made:
-                break
-            place = place.parent
+        _clear(destination.root)
 
 
 def _existing(place: Path) -> Path:
@@ -250,13 +273,19 @@ def _existing(place: Path) -> Path:
     return place
 
 
-def _topmost_missing(root: Path) -> Path | None:
-    missing = None
-    for place in (root, *root.parents):
-        if place.exists():
-            break
-        missing = place
-    return missing
+def _clear(root: Path) -> None:
+    """Empties DST. What makes it look like a dataset is moved aside first, in case this is interrupted."""
+    old = root / OLD
+    entries = [entry for entry in root.iterdir() if entry != old]
+    if entries:
+        old.mkdir(exist_ok=True)
+        for entry in sorted(entries, key=lambda entry: entry.name != PROVENANCE):
+            aside = old / entry.name
+            if aside.is_dir() and not aside.is_symlink():
+                shutil.rmtree(aside)
+            entry.rename(aside)
+    if old.exists():
+        shutil.rmtree(old)
 
 
 def _held_identity(destination: Destination) -> dict[str, Any] | None:

@@ -18,6 +18,7 @@ from unidrive_cli.convert.destination import (
     check_apart,
     check_destination,
     finish,
+    held,
     resolved_destination,
     sweep,
 )
@@ -49,17 +50,21 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
         PictureError, DatasetError: a source picture is broken (with `on_error` stop).
         CheckError: the verification failed, or no unit succeeded.
     """
-    started = time.monotonic()
     check_apart(plan.dataset.root, destination_root)
     root = resolved_destination(destination_root)
     same = check_destination(root, plan.identity, force=force)
-    if same and not force and Destination(root).finished:
-        summary = read_summary(Destination(root))
-        if not summary.failures:
-            sweep(Destination(root), keep_work=False)
-            summary.verified = verify(plan, root)
-            return summary
-    destination = begin(root, plan.identity, same=same, force=force)
+    with held(root):
+        if same and not force and Destination(root).finished:
+            summary = read_summary(Destination(root))
+            if not summary.failures:
+                sweep(Destination(root), keep_work=False)
+                summary.verified = verify(plan, root)
+                return summary
+        return _convert(plan, begin(root, plan.identity, same=same, force=force), progress)
+
+
+def _convert(plan: Plan, destination: Destination, progress: Progress | None) -> Summary:
+    started = time.monotonic()
     try:
         receipts, failures = _run_units(plan, destination, progress)
         rendered = time.monotonic()
