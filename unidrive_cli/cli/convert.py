@@ -149,6 +149,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -
     scenes = len({unit.scene.token for unit in plan.units})
     sources = sum(len(unit.sources) for unit in plan.units)
     annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
+    sizes = sorted({f"{camera.lens.width_px}x{camera.lens.height_px}" for camera in plan.rig.cameras})
     copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
     document = {
         "samples": len(plan.units),
@@ -159,7 +160,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -
         "estimated_bytes": estimate,
         "free_bytes": free,
         "rig": plan.rig.name,
-        "picture_sizes": sorted({f"{c.lens.width_px}x{c.lens.height_px}" for c in plan.rig.cameras}),
+        "picture_sizes": sizes,
         "copies": copies,
         "notes": plan.notes,
     }
@@ -172,8 +173,8 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -
     )
     typer.echo(f"reads  {plural(sources, 'source picture')}")
     typer.echo(
-        f"writes {plural(plan.picture_count, 'picture')}, about {human_bytes(estimate)} "
-        f"({human_bytes(free)} free); {plural(annotations, 'annotation')}"
+        f"writes {plural(plan.picture_count, 'picture')} of {', '.join(sizes)} pixels, "
+        f"about {human_bytes(estimate)} ({human_bytes(free)} free); {plural(annotations, 'annotation')}"
     )
     if copies:
         why = "" if links else ": DST is on another file system, where links cannot lead"

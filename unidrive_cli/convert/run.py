@@ -166,7 +166,7 @@ def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
     except UnidriveError as error:
         if not skip:
             raise
-        return Failure(unit.sample.token, str(error))
+        return Failure(unit.sample.token, error.sentence)
 
 
 def _attempt_in_worker(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
@@ -182,4 +182,4 @@ def _attempt(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
     except DatasetError as error:
         if not skip:
             raise
-        return Failure(frame.sample_token, str(error))
+        return Failure(frame.sample_token, error.sentence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, lidar_notes
 
 OFFICIAL_VERSIONS = ("v1.0-mini", "v1.0-trainval", "v1.0-test")
@@ -39,8 +40,7 @@ def training_notes(plan: Plan) -> str:
     lines += [
         "- Black pixels were seen by no source camera"
         + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
-        "- Boxes that the virtual rig does not show are "
-        + ("left out." if plan.options.unseen_boxes == "drop" else "kept with the lowest visibility: filter on it."),
+        f"- Boxes that the virtual rig does not show are {_unseen_boxes(plan.options)}.",
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
         f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
     ]
@@ -51,3 +51,11 @@ def training_notes(plan: Plan) -> str:
         )
     lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"
+
+
+def _unseen_boxes(options: Options) -> str:
+    if options.unseen_boxes == "drop":
+        return "left out"
+    if options.visibility == "keep":
+        return "kept as they were"
+    return "kept with the lowest visibility: filter on it"
