@@ -67,11 +67,8 @@ def test_same_pictures_and_masks_as_the_second_implementation(shared_data: Path,
         assert not picture[~mask].any()
         single = (count == 1) & mask
         if single.any():
-            assert psnr_db(picture[single], theirs["single"][single]) >= 45
+            assert psnr_db(picture[single], theirs["single"][single]) >= 55
+        # taps at 1/32 pixel, and a rounding for each source that is mixed: three grey levels
         mixed = count > 1
-        # bilinear taps at 1/32 pixel and two roundings: three grey levels on pixels between their sources,
-        # more only where the picture itself jumps within the 1/64 pixel of the rounding
-        low, high = theirs["low"][mixed] - 3, theirs["high"][mixed] + 3
-        outside = (picture[mixed] < low) | (picture[mixed] > high)
-        assert outside.mean() < 2e-3 if mixed.any() else True
-        assert np.maximum(low - picture[mixed], picture[mixed] - high).max(initial=0) < 10
+        assert (picture[mixed] >= theirs["low"][mixed] - 3).all()
+        assert (picture[mixed] <= theirs["high"][mixed] + 3).all()
