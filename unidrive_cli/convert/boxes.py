@@ -12,7 +12,7 @@ import shapely
 
 from unidrive_cli.geometry import boxes as box_geometry
 from unidrive_cli.geometry.arrays import Bool, Float
-from unidrive_cli.geometry.lenses import Lens
+from unidrive_cli.geometry.lenses import Lens, Pinhole
 from unidrive_cli.geometry.poses import inverse, transform
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.warp.remap import Source
@@ -67,10 +67,11 @@ def seen_boxes(
     boxes: list[Box2d] = []
     for index, (camera, mask) in enumerate(views):
         cam_from_ego = inverse(camera.ego_from_cam)
-        ahead = _ahead(cam_from_ego, corners)
-        by_views[ahead] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[ahead]), mask)
-        for place, bounds in _bounds_2d(camera, transform(cam_from_ego, corners[ahead]), mask):
-            boxes.append(Box2d(index, int(ahead[place]), *(round(side, 3) for side in bounds)))
+        near = _ahead(cam_from_ego, corners)
+        near = near[_may_show(camera.lens, transform(cam_from_ego, corners[near]))]
+        by_views[near] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[near]), mask)
+        for place, bounds in _bounds_2d(camera, transform(cam_from_ego, corners[near]), mask):
+            boxes.append(Box2d(index, int(near[place]), *(round(side, 3) for side in bounds)))
     shown_anywhere = {box.annotation for box in boxes}
     virtual, source = by_views.sum(axis=1), by_sources.sum(axis=1)
     share = np.minimum(virtual / np.maximum(source, 1), 1.0)
@@ -85,6 +86,12 @@ def _ahead(cam_from_ego: Float, corners_ego: Float) -> npt.NDArray[np.intp]:
     """Indices of the boxes (n, 8, 3) that reach at least NEAR_M in front of a camera."""
     depth = corners_ego @ cam_from_ego[2, :3] + cam_from_ego[2, 3]
     return np.flatnonzero(depth.max(axis=1) >= NEAR_M)
+
+
+def _may_show(lens: Pinhole, corners_cam: Float) -> Bool:
+    """(n,) False where a box (n, 8, 3) lies wholly beyond one of the four planes through the picture's borders."""
+    inside: Bool = ((corners_cam @ lens.border_normals().T).max(axis=1) > 0).all(axis=1)
+    return inside
 
 
 def _on_covered_pixels(lens: Lens, points_cam: Float, mask: npt.NDArray[np.uint8]) -> Bool:
