@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from unidrive_cli.convert.destination import Destination
+from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.units import Job, receipt_name, renderer_of
 from unidrive_cli.errors import OutputError
 from unidrive_cli.rig.gallery import load_gallery_rig
@@ -17,7 +18,7 @@ from unidrive_cli.rig.gallery import load_gallery_rig
 
 @pytest.fixture
 def job(tmp_path: Path) -> Job:
-    return Job(Destination(tmp_path), load_gallery_rig("4x95"), 50.0, 0.0, "angular", 95, "frame", "digest")
+    return Job(Destination(tmp_path), load_gallery_rig("4x95"), Options(), "digest")
 
 
 def test_a_worker_keeps_its_renderer_from_unit_to_unit(job: Job) -> None:

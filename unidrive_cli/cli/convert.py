@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,7 +132,7 @@ def convert_command(
     with Progress("samples", sys.stderr) as progress:
         summary = convert(plan, dst, force=force, progress=progress)
     if as_json:
-        typer.echo(json.dumps(summary.as_json()))
+        typer.echo(json.dumps(asdict(summary)))
     else:
         _say_summary(summary, plan, dst)
     if summary.failures:

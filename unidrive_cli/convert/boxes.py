@@ -67,10 +67,12 @@ def seen_boxes(
     boxes: list[Box2d] = []
     for index, (camera, mask) in enumerate(views):
         cam_from_ego = inverse(camera.ego_from_cam)
-        near = _ahead(cam_from_ego, corners)
-        near = near[_may_show(camera.lens, transform(cam_from_ego, corners[near]))]
+        ahead = _ahead(cam_from_ego, corners)
+        corners_cam = transform(cam_from_ego, corners[ahead])
+        shows = _may_show(camera.lens, corners_cam)
+        near = ahead[shows]
         by_views[near] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[near]), mask)
-        for place, bounds in _bounds_2d(camera, transform(cam_from_ego, corners[near]), mask):
+        for place, bounds in _bounds_2d(camera, corners_cam[shows], mask):
             boxes.append(Box2d(index, int(near[place]), *(round(side, 3) for side in bounds)))
     shown_anywhere = {box.annotation for box in boxes}
     virtual, source = by_views.sum(axis=1), by_sources.sum(axis=1)

@@ -70,10 +70,6 @@ class Summary:
     already_complete: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def as_json(self) -> dict[str, Any]:
-        """For `--json`."""
-        return asdict(self)
-
 
 def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure]) -> Summary:
     """Turns finished units into a dataset: nothing looks whole before everything is verified.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Iterable, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -97,8 +97,7 @@ class OutputTables:
 
     def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
         """Calls `write_table(name, rows)` for every table of the output, and counts."""
-        fates = self.annotation_fates
-        changes = self._changed_annotations()
+        fates, changes = self.annotation_fates, self._changed_annotations
         rows: dict[str, Iterable[RawRow]] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
@@ -106,7 +105,7 @@ class OutputTables:
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
             "scene": self._indexed(self._dataset.scene, mended_scenes(self._dataset, self.kept_samples)),
-            "sample_annotation": self._linked_rows(self._dataset.sample_annotation, fates, changes),
+            "sample_annotation": self._kept_rows(self._dataset.sample_annotation, fates, changes),
             "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, fates)),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
@@ -199,17 +198,16 @@ class OutputTables:
 
     def _boxes_2d(self) -> Iterator[RawRow]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
-        dataset, fates = self._dataset, self.annotation_fates
+        dataset, fates, changes = self._dataset, self.annotation_fates, self._changed_annotations
         categories = {row.token: row.name for row in dataset.category.rows}
         instances = {row.token: categories.get(row.category_token, "") for row in dataset.instance.rows}
-        links = mended_links(dataset.sample_annotation.rows, fates)
         for unit in self._units:
             annotations = dataset.annotations.get(unit.sample.token, [])
             for box in self._receipts[unit.sample.token].boxes:
                 row = annotations[box.annotation]
                 if row.token not in fates:
                     continue
-                mended = links.get(row.token, {})
+                mended = changes.get(row.token, {})
                 yield _row(
                     attribute_tokens=row.attribute_tokens,
                     bbox_corners=[box.left, box.top, box.right, box.bottom],
@@ -227,10 +225,12 @@ class OutputTables:
                     visibility_token=fates[row.token],
                 )
 
+    @cached_property
     def _changed_annotations(self) -> dict[str, dict[str, Any]]:
-        """New visibility; and centres in whole numbers as floats, which nuscenes-devkit needs."""
+        """Mended links, new visibility; and centres in whole numbers as floats, which nuscenes-devkit needs."""
         fates = self.annotation_fates
         changes: dict[str, dict[str, Any]] = {}
+        changes.update(mended_links(self._dataset.sample_annotation.rows, fates))
         for row in self._dataset.sample_annotation.rows:
             if row.token not in fates:
                 continue
@@ -240,13 +240,15 @@ class OutputTables:
                 changes.setdefault(row.token, {})["translation"] = list(row.translation)
         return changes
 
-    def _linked_rows(
-        self, table: Table[Any], kept: Collection[str], changes: dict[str, dict[str, Any]] | None = None
+    def _linked_rows(self, table: Table[Any], kept: Collection[str]) -> Iterator[RawRow]:
+        return self._kept_rows(table, kept, mended_links(table.rows, kept))
+
+    def _kept_rows(
+        self, table: Table[Any], kept: Collection[str], changes: Mapping[str, Mapping[str, Any]]
     ) -> Iterator[RawRow]:
-        links = mended_links(table.rows, kept)
         for row, raw in zip(table.rows, table.raw, strict=True):
             if row.token in kept:
-                fields = {**links.get(row.token, {}), **(changes or {}).get(row.token, {})}
+                fields = changes.get(row.token)
                 yield changed(raw, fields) if fields else raw
 
     def _indexed(self, table: Table[Any], changes: Iterator[tuple[int, dict[str, Any]]]) -> Iterator[RawRow]:

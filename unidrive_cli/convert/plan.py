@@ -47,6 +47,7 @@ STANDARD_CHANNELS = (
     "CAM_BACK_LEFT",
     "CAM_BACK_RIGHT",
 )
+STANDARD_SIZE_PX = (1600, 900)
 MAX_TIMESTAMP = 2**63
 _JPEG_QUALITIES = (50, 80, 90, 95, 100)
 _JPEG_BYTES_PER_PIXEL = (0.06, 0.11, 0.145, 0.21, 0.55)
@@ -159,7 +160,8 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         DatasetError: dangling tokens, broken poses or calibrations, missing pictures, no samples.
         RigError, UsageError: a rig or an option that does not fit the dataset.
     """
-    _check_rig(dataset, rig, options)
+    _check_channels(dataset, rig)
+    surfaces = _scene_surfaces(rig, options)
     notes = list(dataset.notes)
     mended = []
     for finding in check_references(dataset):
@@ -179,7 +181,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
     if not any(unit.sources for unit in units):
         raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
-    notes.extend(_source_notes(dataset, rig, units, channels, options))
+    notes.extend(_source_notes(dataset, units, channels, surfaces))
     notes.extend(consumer_notes(rig, dataset))
     plan = Plan(dataset, rig, options, units, notes)
     _check_cameras(plan)
@@ -189,7 +191,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
 def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
     """What off-the-shelf trainers will stumble over with this rig, one sentence each (docs/output.md)."""
     notes = []
-    if sorted(rig.channels) != sorted(STANDARD_CHANNELS):
+    if not has_standard_channels(rig):
         notes.append(
             f"The rig has {len(rig.cameras)} cameras ({', '.join(rig.channels)}): BEVDet, PETR, BEVFormer and "
             "mmdetection3d expect the six nuScenes channels and must be told (TRAINING.md)."
@@ -197,10 +199,15 @@ def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
     sizes = {(camera.lens.width_px, camera.lens.height_px) for camera in rig.cameras}
     if len(sizes) > 1:
         notes.append("The virtual cameras have several picture sizes: trainers that stack pictures need one.")
-    elif sizes != {(1600, 900)}:
+    elif sizes != {STANDARD_SIZE_PX}:
         width, height = sizes.pop()
         notes.append(f"Pictures are {width}x{height}: trainers that assume 1600x900 must be told (TRAINING.md).")
     return [*notes, *lidar_notes(dataset)]
+
+
+def has_standard_channels(rig: Rig) -> bool:
+    """Whether the cameras carry nuScenes' six names, which trainers expect."""
+    return sorted(rig.channels) == sorted(STANDARD_CHANNELS)
 
 
 def lidar_notes(dataset: Dataset) -> list[str]:
@@ -210,15 +217,14 @@ def lidar_notes(dataset: Dataset) -> list[str]:
     return [f"The source has no {LIDAR_REFERENCE}: most trainers and the devkit's evaluation need one."]
 
 
-def _check_rig(dataset: Dataset, rig: Rig, options: Options) -> None:
+def _check_channels(dataset: Dataset, rig: Rig) -> None:
     others = {row.channel for row in dataset.sensor.rows if row.modality != "camera"}
     for channel in rig.channels:
         if channel in others:
             raise RigError(f"{channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
-    _scenes(rig, options)
 
 
-def _scenes(rig: Rig, options: Options) -> list[HalfBall]:
+def _scene_surfaces(rig: Rig, options: Options) -> list[HalfBall]:
     """The scene surface of each virtual camera."""
     ground = GroundPlane(options.ground_height_m)
     surfaces = []
@@ -328,12 +334,11 @@ def _check_cameras(plan: Plan) -> None:
             if calibration in seen:
                 continue
             seen.add(calibration)
-            if row.width and row.height:
-                lens_and_pose(dataset, row, (row.width, row.height))
+            if stop or (row.width and row.height):
+                size = picture_size_of(dataset, row)
+                lens_and_pose(dataset, row, size)
                 if stop:
-                    check_size(read_head(path), (row.width, row.height), str(path))
-            elif stop:
-                lens_and_pose(dataset, row, picture_size_of(dataset, row))
+                    check_size(read_head(path), size, str(path))
 
 
 def _refuse_missing(path: Path, place: str) -> None:
@@ -349,7 +354,7 @@ def _refuse_missing(path: Path, place: str) -> None:
     raise PictureError(f"the picture {path} {what}.", where=place, hint=SKIP_HINT)
 
 
-def _source_notes(dataset: Dataset, rig: Rig, units: list[Unit], channels: set[str], options: Options) -> list[str]:
+def _source_notes(dataset: Dataset, units: list[Unit], channels: set[str], surfaces: list[HalfBall]) -> list[str]:
     notes = []
     incomplete = sum(len(unit.sources) < len(channels) for unit in units)
     if incomplete:
@@ -357,7 +362,6 @@ def _source_notes(dataset: Dataset, rig: Rig, units: list[Unit], channels: set[s
             f"{incomplete} of {len(units)} samples lack some of the cameras {', '.join(sorted(channels))}; "
             "what nothing else shows stays black."
         )
-    surfaces = _scenes(rig, options)
     used = {row.calibrated_sensor_token for unit in units for row in unit.sources}
     outside = {
         dataset.sensor_of_calibration[row.token].channel

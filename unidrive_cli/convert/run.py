@@ -98,17 +98,7 @@ def _run_units(
     total = len(plan.units)
     if progress:
         progress(len(receipts), total)
-    options = plan.options
-    job = Job(
-        destination,
-        plan.rig,
-        options.depth_limit_m,
-        options.ground_height_m,
-        options.blend,
-        options.quality,
-        options.masks,
-        plan.digest,
-    )
+    job = Job(destination, plan.rig, plan.options, plan.digest)
     for outcome in _outcomes(plan, job, todo):
         if isinstance(outcome, Failure):
             failures.append(outcome)

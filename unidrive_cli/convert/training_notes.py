@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from unidrive_cli.convert.options import Options
-from unidrive_cli.convert.plan import STANDARD_CHANNELS, Plan, lidar_notes
+from unidrive_cli.convert.plan import STANDARD_SIZE_PX, Plan, has_standard_channels, lidar_notes
 
 OFFICIAL_VERSIONS = ("v1.0-mini", "v1.0-trainval", "v1.0-test")
 
@@ -11,7 +11,6 @@ OFFICIAL_VERSIONS = ("v1.0-mini", "v1.0-trainval", "v1.0-test")
 def training_notes(plan: Plan) -> str:
     """Markdown text: names, sizes, and the configuration lines that differ from nuScenes' own."""
     rig = plan.rig
-    standard = sorted(rig.channels) == sorted(STANDARD_CHANNELS)
     lines = [
         f"# Training on this dataset: virtual rig `{rig.name}`",
         "",
@@ -23,7 +22,7 @@ def training_notes(plan: Plan) -> str:
         lines.append(f"| {camera.channel} | {lens.width_px} | {lens.height_px} | {lens.hfov_deg:.2f} degrees |")
     lens = rig.cameras[0].lens
     lines += ["", f"- Number of cameras: {len(rig.cameras)}."]
-    if standard:
+    if has_standard_channels(rig):
         lines.append("- The six nuScenes channel names: trainers need no change of camera names.")
     else:
         names = ", ".join(f"'{channel}'" for channel in rig.channels)
@@ -32,7 +31,7 @@ def training_notes(plan: Plan) -> str:
             f"  and `num_cams=6` (or `Ncams=6`) by {len(rig.cameras)}.",
             f"- LSS: `data_aug_conf['cams'] = [{names}]`, `data_aug_conf['Ncams'] = {len(rig.cameras)}`.",
         ]
-    if (lens.width_px, lens.height_px) != (1600, 900):
+    if (lens.width_px, lens.height_px) != STANDARD_SIZE_PX:
         lines += [
             f"- LSS and BEVDet: source size `H={lens.height_px}, W={lens.width_px}` (`src_size`), not 900, 1600.",
             f"- mmdetection3d's 2D boxes assume 1600x900: its converter needs ({lens.width_px}, {lens.height_px}).",

@@ -11,12 +11,11 @@ from pathlib import Path
 import msgspec
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
-from unidrive_cli.convert.destination import RECEIPTS, WORK, Destination
-from unidrive_cli.convert.options import Masks
+from unidrive_cli.convert.destination import MASKS, RECEIPTS, WORK, Destination
+from unidrive_cli.convert.options import Masks, Options
 from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.rig.model import Rig
-from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, decode_picture, encode_jpeg
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
@@ -30,17 +29,13 @@ class Job:
 
     Attributes:
         destination: DST.
-        rig, depth_limit_m, ground_height_m, blend, quality, masks: see `Options`.
+        rig, options: the plan's.
         key: digest of the plan.
     """
 
     destination: Destination
     rig: Rig
-    depth_limit_m: float
-    ground_height_m: float
-    blend: Blend
-    quality: int
-    masks: Masks
+    options: Options
     key: str
 
     def __eq__(self, other: object) -> bool:
@@ -127,10 +122,10 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
     tables = renderer.tables(frame.sources)
     sizes = []
     for view, name in zip(tables, frame.pictures, strict=True):
-        data = encode_jpeg(view.render(pictures), job.quality)
+        data = encode_jpeg(view.render(pictures), job.options.quality)
         sizes.append(len(data))
         job.destination.write(name, data)
-        if job.masks == "frame":
+        if job.options.masks == "frame":
             job.destination.write(mask_name(name), view.mask_png)
     shown, unwitnessed, boxes = seen_boxes(
         frame.ego_from_box,
@@ -148,7 +143,7 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
 def mask_name(picture_name: str) -> str:
     """Where the mask of a virtual picture goes: masks/<CHANNEL>/<the picture's name>.png."""
     path = Path(picture_name)
-    return f"masks/{path.parent.name}/{path.stem}.png"
+    return f"{MASKS}/{path.parent.name}/{path.stem}.png"
 
 
 def read_picture(path: str, source: Source) -> Picture:
@@ -172,4 +167,5 @@ def read_picture(path: str, source: Source) -> Picture:
 @functools.lru_cache(maxsize=1)
 def renderer_of(job: Job) -> Renderer:
     """The job's renderer: one per worker process, because its tables outlive a unit."""
-    return Renderer(job.rig, job.depth_limit_m, job.ground_height_m, job.blend)
+    options = job.options
+    return Renderer(job.rig, options.depth_limit_m, options.ground_height_m, options.blend)

@@ -9,7 +9,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -146,7 +146,7 @@ def write_rows(path: Path, raw: Iterable[bytes | msgspec.Raw]) -> int:
     return count
 
 
-def changed(raw: bytes | msgspec.Raw, changes: dict[str, Any]) -> bytes:
+def changed(raw: bytes | msgspec.Raw, changes: Mapping[str, Any]) -> bytes:
     """The row's JSON text with some fields replaced; all others keep their order and values."""
     record: dict[str, Any] = msgspec.json.decode(raw)
     record.update(changes)
