@@ -26,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from unidrive_cli.convert.destination import Destination
+from unidrive_cli.tables.destination import Destination
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.convert.units import Frame, Job, run_unit

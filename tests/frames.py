@@ -9,9 +9,9 @@ import numpy as np
 
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
-from unidrive_cli.convert.units import read_picture
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.warp.pictures import read_picture
 from unidrive_cli.warp.render import Renderer, ViewTables
 
 
@@ -34,7 +34,10 @@ def render_samples(root: Path, rig: Rig, version: str | None = None, **options: 
     rendered = []
     for unit in plan.units:
         frame = plan.frame(unit)
-        sources = [read_picture(path, source) for path, source in zip(frame.paths, frame.sources, strict=True)]
+        sources = [
+            read_picture(Path(path), (source.lens.width_px, source.lens.height_px))
+            for path, source in zip(frame.paths, frame.sources, strict=True)
+        ]
         tables = renderer.tables(frame.sources)
         rendered.append(
             Rendered(

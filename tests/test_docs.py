@@ -35,8 +35,9 @@ def test_the_readme_names_every_shipped_rig() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_options_that_are_named_exist(page: Path) -> None:
-    helps = CliRunner().invoke(app, ["convert", "--help"], env={"COLUMNS": "300"}).output
-    helps += CliRunner().invoke(app, ["inspect-rig", "--help"], env={"COLUMNS": "300"}).output
+    commands = [str(command.name) for command in app.registered_commands]
+    assert {"convert", "inspect-rig", "measure"} <= set(commands)
+    helps = "".join(CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "300"}).output for name in commands)
     helps = re.sub(r"\x1b\[[0-9;]*m", "", helps)
     pages_own = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "benchmarks" / "convert_vs_codec.py").read_text()))
     for option in set(re.findall(r"--[a-z][a-z-]+", page.read_text())) - pages_own:
@@ -49,7 +50,9 @@ def test_make_targets_that_the_readme_names_exist() -> None:
 
 
 def test_the_rig_file_of_the_docs_is_valid() -> None:
-    (text,) = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
+    text, with_lenses = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
+    lenses = [camera.lens for camera in parse_rig(with_lenses, "docs/rig-files.md").cameras]
+    assert [lens.model for lens in lenses] == ["opencv", "fisheye"]
     rig = parse_rig(text, "docs/rig-files.md")
     assert rig.channels == ("CAM_FRONT", "CAM_BACK")
     assert rig.cameras[1].yaw_pitch_roll_deg[0] == pytest.approx(180)

@@ -534,6 +534,9 @@ def test_an_unknown_rig_is_guessed_and_all_are_listed(bench: Bench) -> None:
     bench.refused(2, "6x61", "Did you mean 6x60?", "nuscenes-like", "roof-6x70", rig="6x61")
 
 
+FISHEYE = "distortion: {model: fisheye, coefficients: [0.05, -0.01, 0.002, -0.0003]}"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -555,6 +558,12 @@ def test_an_unknown_rig_is_guessed_and_all_are_listed(bench: Bench) -> None:
         ("cameras:", "cameras: [", ("is not valid YAML",)),
         ("name: small", "ground_height: 1.7\nname: small", ("CAM_FRONT", "position", "ground")),
         ("name: small", "depth_limit: -1\nname: small", ("depth_limit", "positive")),
+        ("yaw: 0", f"yaw: 0, {FISHEYE}", ("small, camera CAM_FRONT", "fisheye", "a virtual camera is a pinhole")),
+        (
+            "yaw: 0",
+            f"yaw: 0, {FISHEYE[:-1]}, k: 1}}",
+            ("camera CAM_FRONT, distortion", "line 3", "k is not a known key"),
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -1103,7 +1112,7 @@ def test_a_run_that_was_killed_before_its_plan_was_written_is_continued(bench: B
     """Killed, or the disk full, between the folders and `plan.json`: DST is still ours."""
     (bench.dst / ".unidrive" / "receipts").mkdir(parents=True)
     (bench.dst / "UNFINISHED.txt").write_text(
-        "unidrive convert has not finished here. Run the same command again to complete this dataset.\n"
+        "unidrive has not finished here. Run the same command again to complete this dataset.\n"
     )
     bench.converted()
 

@@ -106,6 +106,8 @@ def test_a_rig_file(rig_file: Path) -> None:
         "pitch_deg": 0.0,
         "roll_deg": 0.0,
         "position_m": [1.5, 0.0, 1.6],
+        "lens": "pinhole",
+        "blank_share": 0.0,
     }
     assert (back["channel"], back["yaw_deg"], back["position_m"]) == ("CAM_BACK", 180.0, [0.0, 0.0, 1.6])
     assert facts["covered_deg"] == 160
@@ -137,6 +139,19 @@ def test_angles_and_origin_of_a_rig_file(rig_file: Path) -> None:
     assert camera["position_m"] == [1.5, 0.5, 1.5]
     angles = (camera["yaw_deg"], camera["pitch_deg"], camera["roll_deg"])
     assert angles == pytest.approx((30, 10, -5), abs=1e-3)
+
+
+def test_a_rig_with_distortion(rig_file: Path) -> None:
+    """The lens is a column only where there is one to speak of."""
+    assert "lens" not in unidrive("inspect-rig", rig_file).stdout
+    lens = ", distortion: {model: opencv, coefficients: [-0.45, 0, 0, 0]}}"
+    rig_file.write_text(SMALL_RIG.replace("yaw: 180}", "yaw: 180" + lens))
+    lines = unidrive("inspect-rig", rig_file).stdout.splitlines()
+    assert lines[1].split()[-1] == "lens"
+    assert (lines[2].split()[-1], lines[3].split()[-1]) == ("pinhole", "opencv")
+    front, back = inspect(rig_file)["cameras"]
+    assert (front["lens"], front["blank_share"], back["lens"]) == ("pinhole", 0.0, "opencv")
+    assert f"CAM_BACK: {100 * back['blank_share']:.1f} % of the picture lies beyond the field" in lines[4]
 
 
 def test_the_name_is_not_part_of_the_digest_but_a_camera_is(rig_file: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from unidrive_cli.convert.destination import Destination
+from unidrive_cli.tables.destination import Destination
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.units import Job, receipt_name, renderer_of
 from unidrive_cli.errors import OutputError

@@ -21,11 +21,19 @@ from unidrive_cli.geometry.poses import (
     rotation_from_quaternion,
     rotation_from_yaw_pitch_roll,
     transform,
+    turn_rad,
     yaw_pitch_roll_from_rotation,
 )
 
 C30, S30 = np.sqrt(3) / 2, 0.5
 RIGHT, DOWN, AHEAD = np.eye(3)  # the camera's own axes
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-5, 0.3, 2.0, np.pi])
+@pytest.mark.parametrize("axis", [RIGHT, np.array([0.6, 0.0, -0.8])])
+def test_turn_of_a_rotation(angle_rad: float, axis: np.ndarray) -> None:
+    rotation = Quaternion(axis=axis, radians=angle_rad).rotation_matrix
+    assert turn_rad(rotation) == pytest.approx(angle_rad, rel=1e-6, abs=1e-15)
 
 
 # --- quaternions -------------------------------------------------------------------------------------

@@ -160,3 +160,24 @@ def test_every_processor_gives_the_same_digests() -> None:
         for env in (dict(os.environ), plain)
     )
     assert here == there
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        ("4x95", "fb9587f62f8aaff3"),
+        ("5x70+110", "0761f87c8745bbed"),
+        ("5x75", "07fd12b2f76f7847"),
+        ("6x60", "fb26f46bfe941f9f"),
+        ("6x70", "95fa72003b921d91"),
+        ("6x80a", "bef4336a85e710af"),
+        ("6x80b", "f5730c545d5b1efa"),
+        ("8x50", "f4fcc8f8dbbe6d46"),
+        ("nuscenes-like", "17d164d363166e0c"),
+        ("roof-6x70", "614cc544d60d9e0e"),
+        ("unidrive-released-6x60", "7152e7b7c8ea6e77"),
+    ],
+)
+def test_digests_stay(name: str, digest: str) -> None:
+    """Tokens and plans of converted datasets hang on them."""
+    assert load_gallery_rig(name).digest.startswith(digest)

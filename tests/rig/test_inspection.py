@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from tests.rig.hand_made import TEXT
+from tests.rig.hand_made import TEXT, with_changes
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.inspection import CameraFacts, inspect_rig
 from unidrive_cli.rig.yaml_file import parse_rig
@@ -43,6 +45,33 @@ def test_overlap_and_a_camera_that_sees_no_horizon() -> None:
     sky = facts.cameras[2]
     assert (sky.yaw_deg, sky.pitch_deg, sky.roll_deg) == (-120.0, 90.0, 0.0)
     assert (facts.depth_limit_m, facts.ground_height_m) == (None, None)
+
+
+def test_distorted_cameras() -> None:
+    """f theta = 400 theta: half of 800 pixels are 1 rad, half of 400 are 0.5; the other ends in its corners."""
+    fisheye = "distortion: {model: fisheye, coefficients: [0, 0, 0, 0]}"
+    barrel = "distortion: {model: opencv, coefficients: [-0.4, 0, 0, 0]}"
+    front, back = inspect_rig(
+        parse_rig(
+            with_changes(
+                ("[400, 410, 399.5, 199.5]", f"[400, 400, 399.5, 199.5]\n    {fisheye}"),
+                ("    yaw: 0\n", f"    yaw: 0\n    {barrel}\n"),
+            ),
+            "car.yaml",
+        )
+    ).cameras
+    assert (front.lens, back.lens) == ("opencv", "fisheye")
+    assert (back.hfov_deg, back.vfov_deg) == (114.592, 57.296)
+    assert back.blank_share == 0.0
+    limit = 2 * math.degrees(
+        math.atan(math.sqrt(1 / 1.2))
+    )  # dr_d/dr = 1 - 1.2 r^2; r_d = 0.61 there: inside, 1 is the border
+    assert front.hfov_deg == pytest.approx(limit, abs=1e-3)
+    radius = math.sqrt(1 / 1.2) * (1 - 0.4 / 1.2)
+    height = 900 / 1600
+    segment = radius**2 * math.acos(height / radius) - height * math.sqrt(radius**2 - height**2)
+    seen = (math.pi * radius**2 - 2 * segment) / (4 * height)
+    assert front.blank_share == pytest.approx(1 - seen, abs=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from tests.rig.hand_made import TEXT, with_changes
 from unidrive_cli.errors import GeometryError, RigError
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import FisheyeLens, OpenCVLens, Pinhole
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import parse_rig
 
@@ -79,6 +79,27 @@ def test_equal_numbers_have_equal_digests(lens: Pinhole, pose: np.ndarray) -> No
     assert lens == LENS
     np.testing.assert_array_equal(pose, POSE)
     assert Rig("a", "", (Camera("C", lens, pose),)).digest == Rig("b", "", (Camera("C", LENS, POSE),)).digest
+
+
+def test_the_digest_knows_the_distortion() -> None:
+    numbers = (400.0, 410.0, 399.5, 199.5, 800, 400)
+    lenses = [
+        LENS,
+        OpenCVLens(*numbers, (0.1, 0.0, 0.0, 0.0)),
+        OpenCVLens(*numbers, (0.100000001, 0.0, 0.0, 0.0)),
+        OpenCVLens(*numbers, (0.1, 0.0, 0.0, 0.0, 0.001)),
+        FisheyeLens(*numbers, (0.1, 0.0, 0.0, 0.0)),
+        FisheyeLens(*numbers, (0.0, 0.0, 0.0, 0.0)),
+    ]
+    assert len({Rig("a", "", (Camera("C", lens, POSE),)).digest for lens in lenses}) == len(lenses)
+    longer = OpenCVLens(*numbers, (0.1, 0.0, 0.0, 0.0, 0.0))  # the same lens, written with a zero more
+    assert Rig("a", "", (Camera("C", longer, POSE),)).digest == Rig("a", "", (Camera("C", lenses[1], POSE),)).digest
+
+
+def test_a_virtual_camera_is_a_pinhole() -> None:
+    assert Camera("C", LENS, POSE).pinhole is LENS
+    with pytest.raises(GeometryError, match=r"lens distortion \(fisheye\); a virtual camera is a pinhole"):
+        _ = Camera("C", FisheyeLens(400.0, 410.0, 399.5, 199.5, 800, 400, (0.0,) * 4), POSE).pinhole
 
 
 def test_a_rig_needs_cameras_with_names_of_their_own() -> None:

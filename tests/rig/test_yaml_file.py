@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.rig.hand_made import TEXT, with_changes
 from unidrive_cli.errors import RigError
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import FisheyeLens, OpenCVLens, Pinhole
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.rig.yaml_file import MAX_FILE_BYTES, load_rig, parse_rig
 
@@ -82,11 +83,30 @@ def test_other_ways_to_write_the_same(old: str, new: str, tmp_path: Path) -> Non
     assert load_rig(path).digest == parse_rig(TEXT, "car.yaml").digest
 
 
+def test_distortion_comes_on_top_of_the_camera_matrix() -> None:
+    numbers = [-0.3, 0.1, 1e-3, -2e-3]
+    with_lens = parse_rig(with_changes(distortion(f"{{model: opencv, coefficients: {numbers}}}")), "car.yaml")
+    pinhole = parse_rig(TEXT, "car.yaml").cameras[0].lens
+    np.testing.assert_array_equal(with_lens.cameras[0].lens.matrix, pinhole.matrix)
+    assert with_lens.cameras[0].lens == OpenCVLens(*dataclasses.astuple(pinhole), tuple(numbers))
+    fisheye = parse_rig(with_changes(distortion("{model: fisheye, coefficients: [0, 0, 0, 0]}")), "car.yaml")
+    assert fisheye.cameras[0].lens == FisheyeLens(*dataclasses.astuple(pinhole), (0.0,) * 4)
+    assert fisheye.cameras[1].lens == Pinhole(400.0, 410.0, 399.5, 199.5, 800, 400)
+    none = parse_rig(with_changes(distortion("{model: opencv, coefficients: [0, 0, 0, 0, 0]}")), "car.yaml")
+    assert none.digest == parse_rig(TEXT, "car.yaml").digest
+    assert len({rig.digest for rig in (with_lens, fisheye, none)}) == 3
+
+
 # --- mistakes ----------------------------------------------------------------------------------------
 
 FRONT, BACK, TOP = "camera CAM_FRONT", "camera CAM_BACK", ""
 FRONT_YAW, BACK_ROTATION, HFOV = "    yaw: 0\n", "[0.5, -0.5, -0.5, 0.5]", "    hfov: 90\n"
 SIZE = "width: 1600\n    height: 900"
+
+
+def distortion(text: str) -> tuple[str, str]:
+    """The change that gives the camera ahead a distortion, on line 10."""
+    return FRONT_YAW, f"{FRONT_YAW}    distortion: {text}\n"
 
 
 @pytest.mark.parametrize(
@@ -161,7 +181,23 @@ SIZE = "width: 1600\n    height: 900"
         ("description: two cameras", "description: [two]", 2, TOP, ["description", "text"]),
         ("  CAM_BACK:", "  ../CAM:", 10, TOP, ["../CAM is not a channel name", "letters, digits"]),
         ("  CAM_BACK:", "  7:", 10, TOP, ["7 is not a channel name"]),
-        (FRONT_YAW, "    yaw: 0\n    distortion: {model: fisheye}\n", 10, FRONT, ["distortion", "pinhole"]),
+        # distortion
+        (*distortion(""), 10, FRONT, ["distortion", "{model: opencv or fisheye, coefficients: [...]}", "None"]),
+        (*distortion("[0.1, 0, 0, 0]"), 10, FRONT, ["distortion must be a mapping", "[0.1"]),
+        (*distortion("{model: fisheye}"), 10, FRONT, ["distortion lacks the key coefficients", "{model: "]),
+        (*distortion("{coefficients: [0, 0, 0, 0]}"), 10, FRONT, ["distortion lacks the key model"]),
+        (*distortion("{modle: fisheye}"), 10, FRONT, ["distortion", "modle is not", "Did you mean model?"]),
+        (*distortion("\n      model: fish\n      coefficients: []"), 11, FRONT,
+            ["model must be opencv or fisheye, got 'fish'", "Did you mean fisheye?"]),
+        (*distortion("{model: 4, coefficients: []}"), 10, FRONT, ["model must be opencv or fisheye, got 4"]),
+        (*distortion("\n      model: fisheye\n      coefficients: [0, 0, 0, 0, 0]"), 12, FRONT,
+            ["coefficients do not fit", "4 coefficients (k1 k2 k3 k4), got 5"]),
+        (*distortion("{model: opencv, coefficients: [1, 2, 3]}"), 10, FRONT, ["4, 5, 8, 12 coefficients", "got 3"]),
+        (*distortion("{model: opencv, coefficients: 0.1}"), 10, FRONT, ["coefficients must be a list of numbers"]),
+        (*distortion("{model: opencv, coefficients: [.nan, 0, 0, 0]}"), 10, FRONT, ["coefficients", "finite"]),
+        (*distortion("{model: opencv, coefficients: [a, 0, 0, 0]}"), 10, FRONT, ["coefficients", "number", "'a'"]),
+        (*distortion("{model: opencv, coefficients: [0,0,0,0,0,0,0,0,0,0,0,0,1,0]}"), 10, FRONT, ["tilted sensor"]),
+        (*distortion("{model: opencv, coefficients: [-90, 0, 0, 0]}"), 10, FRONT, ["folds back", "pixels"]),
         # not YAML
         ("    width: 1600", "\twidth: 1600", 5, TOP, ["not valid YAML"]),
         ("name: hand-made", "name: a: b", 1, TOP, ["not valid YAML"]),

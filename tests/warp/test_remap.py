@@ -16,7 +16,7 @@ from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.warp.pictures import Picture
-from unidrive_cli.warp.remap import Source, VirtualView, build_patches, coverage
+from unidrive_cli.warp.remap import Source, VirtualView, build_patches, coverage, dominant_sources
 from unidrive_cli.warp.render import Renderer
 
 
@@ -88,6 +88,20 @@ def test_nearest_gives_each_pixel_to_the_source_with_the_largest_weight(virtual:
     covered = mixed.any(axis=0)
     np.testing.assert_array_equal(owner.sum(axis=0), covered)
     assert (mixed.max(axis=0)[covered] <= (mixed * owner).sum(axis=0)[covered] + 1e-6).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(cameras(), st.lists(cameras(), min_size=1, max_size=4), st.sampled_from(["angular", "nearest"]))
+def test_the_dominant_source_is_the_one_with_the_largest_weight(
+    virtual: Camera, real: list[Camera], blend: str
+) -> None:
+    view = view_of(virtual)
+    patches = build_patches(view, [source_of(camera) for camera in real], blend)
+    weight = np.zeros((len(real), virtual.lens.height_px, virtual.lens.width_px), dtype=np.float32)
+    for patch in patches:
+        weight[patch.source][patch.box] = patch.weight
+    expected = np.where(coverage(view, patches) > 0, weight.argmax(axis=0), -1)
+    np.testing.assert_array_equal(dominant_sources(view, patches), expected)
 
 
 def test_weights_have_no_step_where_a_source_begins() -> None:

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from unidrive_cli.cli.progress import Progress
-from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, guarded, human_bytes, plural
+from unidrive_cli.cli.shared import (
+    BLEND,
+    CONFIG,
+    DEBUG,
+    DEPTH_LIMIT,
+    EGO_MOTION,
+    GROUND_HEIGHT,
+    JOBS,
+    JSON,
+    RIG_HELP,
+    SCENES,
+    VERSION,
+    guarded,
+    human_bytes,
+    jobs_of,
+    option,
+    plural,
+    warp_choices,
+)
 from unidrive_cli.convert.options import (
-    DEFAULT_DEPTH_LIMIT_M,
-    DEFAULT_GROUND_HEIGHT_M,
     Link,
     Masks,
     OnError,
@@ -31,57 +46,36 @@ if TYPE_CHECKING:
     from unidrive_cli.convert.plan import Plan
 
 
-def _option(default: Any, *names: str, help: str, **more: Any) -> Any:
-    variable = "UNIDRIVE_" + names[0].split("/")[0].lstrip("-").upper().replace("-", "_")
-    return typer.Option(default, *names, help=help, envvar=variable, show_envvar=False, **more)
-
-
 @guarded
 def convert_command(
     src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
     dst: Path = typer.Argument(..., metavar="DST", help="Where the converted dataset goes."),
-    rig: str = _option(..., "--rig", help="Virtual rig: a rig file, a shipped rig's name, or a dataset folder."),
-    version: str | None = _option(
-        None, "--version", help="Version folder, where SRC has several.", show_default=False
-    ),
+    rig: str = option(..., "--rig", help=RIG_HELP),
+    version: str | None = VERSION,
     scene: list[str] = SCENES,
-    camera: list[str] = _option(
-        [], "--camera", help="Use only this source camera (repeatable).", show_default=False
-    ),
-    depth_limit: float | None = _option(
-        None,
-        "--depth-limit",
-        help="D0: distance in metres of what is not ground (default: the rig's, or 50).",
-    ),
-    ground_height: float | None = _option(
-        None,
-        "--ground-height",
-        help="Height in metres of the ground in the ego frame (default: the rig's, or 0).",
-    ),
-    blend: Blend = _option("angular", "--blend", help="How overlapping source pictures are joined."),
-    ego_motion: bool = _option(
-        True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
-    ),
-    quality: int = _option(95, "--quality", help="JPEG quality, 1 to 100."),
-    masks: Masks = _option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none."),
-    visibility: VisibilityRule = _option(
+    camera: list[str] = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False),
+    depth_limit: float | None = DEPTH_LIMIT,
+    ground_height: float | None = GROUND_HEIGHT,
+    blend: Blend = BLEND,
+    ego_motion: bool = EGO_MOTION,
+    quality: int = option(95, "--quality", help="JPEG quality, 1 to 100."),
+    masks: Masks = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none."),
+    visibility: VisibilityRule = option(
         "lower",
         "--visibility",
         help="Lower a box's visibility where the virtual rig shows less of it.",
     ),
-    unseen_boxes: UnseenBoxes = _option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows."),
-    link: Link = _option(
+    unseen_boxes: UnseenBoxes = option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows."),
+    link: Link = option(
         "hardlink",
         "--link",
         help="How unchanged files come into DST; links share SRC's data: treat as read-only.",
     ),
-    jobs: int | None = _option(
-        None, "--jobs", "-j", help="Worker processes; 0 works in this process (default: one per core)."
-    ),
-    on_error: OnError = _option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out."),
-    verify: VerifyLevel = _option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
-    dry_run: bool = _option(False, "--dry-run", help="Say what would be done; write nothing."),
-    force: bool = _option(False, "--force", help="Replace a DST that holds another conversion of ours."),
+    jobs: int | None = JOBS,
+    on_error: OnError = option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out."),
+    verify: VerifyLevel = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
+    dry_run: bool = option(False, "--dry-run", help="Say what would be done; write nothing."),
+    force: bool = option(False, "--force", help="Replace a DST that holds another conversion of ours."),
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
@@ -90,24 +84,22 @@ def convert_command(
 
     Every option can also be given as UNIDRIVE_<OPTION> in the environment, or in the --config file.
     """
-    from unidrive_cli.convert.destination import (
+    from unidrive_cli.convert.plan import make_plan
+    from unidrive_cli.convert.run import convert
+    from unidrive_cli.tables.dataset import open_dataset
+    from unidrive_cli.tables.destination import (
         check_apart,
         check_destination,
         free_bytes,
         resolved_destination,
         same_device,
     )
-    from unidrive_cli.convert.plan import make_plan, picture_size_of
-    from unidrive_cli.convert.run import convert
-    from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
+    from unidrive_cli.warp.pictures import size_of_file
 
-    virtual_rig, rig_notes = resolve_rig(rig, size_of=picture_size_of)
+    virtual_rig, rig_notes = resolve_rig(rig, size_of_file=size_of_file)
     options = Options(
-        depth_limit_m=_first(depth_limit, virtual_rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
-        ground_height_m=_first(ground_height, virtual_rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
-        blend=blend,
-        ego_motion=ego_motion,
+        **asdict(warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
         cameras=tuple(sorted(set(camera))),
@@ -117,7 +109,7 @@ def convert_command(
         link=link,
         on_error=on_error,
         verify=verify,
-        jobs=(os.cpu_count() or 1) if jobs is None else jobs,
+        jobs=jobs_of(jobs),
     )
     check_apart(src, dst)
     plan = make_plan(open_dataset(src, version), virtual_rig, options)
@@ -139,10 +131,6 @@ def convert_command(
         for failure in summary.failures:
             typer.echo(f"left out: sample {failure.sample_token}: {failure.sentence}", err=True)
         raise typer.Exit(1)
-
-
-def _first(*values: float | None) -> float:
-    return next(value for value in values if value is not None)
 
 
 def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, guarded
+from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, VERSION, guarded, say_table
 
 if TYPE_CHECKING:
     from unidrive_cli.rig.inspection import RigFacts
@@ -20,20 +20,18 @@ def inspect_rig_command(
     rig: str = typer.Argument(
         ..., metavar="RIG_OR_DATASET", help="A rig file, a shipped rig's name, or a dataset folder."
     ),
-    version: str | None = typer.Option(
-        None, "--version", help="Version folder, where the dataset has several.", show_default=False
-    ),
+    version: str | None = VERSION,
     scene: list[str] = SCENES,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
 ) -> None:
     """Show a rig's cameras, and what they see of the circle round the car."""
-    from unidrive_cli.convert.plan import picture_size_of
     from unidrive_cli.rig.inspection import inspect_rig
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
+    from unidrive_cli.warp.pictures import size_of_file
 
-    found, notes = resolve_rig(rig, version, tuple(scene), picture_size_of)
+    found, notes = resolve_rig(rig, version, tuple(scene), size_of_file)
     facts = inspect_rig(found)
     if as_json:
         typer.echo(json.dumps({**asdict(facts), "notes": notes}))
@@ -45,7 +43,9 @@ def inspect_rig_command(
 
 def _say(facts: RigFacts) -> None:
     typer.echo(f"{facts.name}: {facts.description}" if facts.description else facts.name)
-    header = ("channel", "size px", "HFOV", "VFOV", "yaw", "pitch", "roll", "x m", "y m", "z m")
+    distorted = any(camera.lens != "pinhole" for camera in facts.cameras)
+    header = ["channel", "size px", "HFOV", "VFOV", "yaw", "pitch", "roll", "x m", "y m", "z m"]
+    header += ["lens"] if distorted else []
     rows = [
         (
             camera.channel,
@@ -61,16 +61,15 @@ def _say(facts: RigFacts) -> None:
                 )
             ),
             *(f"{round(metres, 2) + 0.0:.2f}" for metres in camera.position_m),
+            *([camera.lens] if distorted else []),
         )
         for camera in facts.cameras
     ]
-    widths = [max(len(row[column]) for row in (header, *rows)) for column in range(len(header))]
-    for row in (header, *rows):
-        first, *rest = (
-            cell.ljust(width) if place < 2 else cell.rjust(width)
-            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        typer.echo("  ".join((first, *rest)))
+    say_table(header, rows, left=2)
+    for camera in facts.cameras:
+        if camera.blank_share:
+            share = f"{100 * camera.blank_share:.1f} %"
+            typer.echo(f"{camera.channel}: {share} of the picture lies beyond the field of its lens model")
     typer.echo(f"\nsees {facts.covered_deg:g} of 360 degrees of the horizon (0 is ahead, 90 is left)")
     for first, second, degrees in facts.overlaps_deg:
         typer.echo(f"overlap  {first} and {second}: {degrees:g} degrees")

@@ -7,6 +7,8 @@ import typer
 from unidrive_cli import __version__
 from unidrive_cli.cli.convert import convert_command
 from unidrive_cli.cli.inspect_rig import inspect_rig_command
+from unidrive_cli.cli.measure import measure_command
+from unidrive_cli.cli.synth import synth_command
 
 app = typer.Typer(
     name="unidrive",
@@ -33,6 +35,8 @@ def _program(
 
 app.command("convert")(convert_command)
 app.command("inspect-rig")(inspect_rig_command)
+app.command("measure")(measure_command)
+app.command("synth")(synth_command)
 
 
 def run() -> None:

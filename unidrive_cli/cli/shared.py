@@ -7,13 +7,17 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
 from unidrive_cli.errors import UnidriveError, UsageError, did_you_mean
+from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIGHT_M, Blend, WarpChoices
+
+if TYPE_CHECKING:
+    from unidrive_cli.rig.model import Rig
 
 INTERRUPTED = 130
 
@@ -92,30 +96,70 @@ def read_config(context: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
-CONFIG = typer.Option(
+def option(default: Any, *names: str, help: str, **more: Any) -> Any:
+    """An option that may also come from its UNIDRIVE_* variable."""
+    variable = "UNIDRIVE_" + names[0].split("/")[0].lstrip("-").upper().replace("-", "_")
+    return typer.Option(default, *names, help=help, envvar=variable, show_envvar=False, **more)
+
+
+CONFIG = option(
     None,
     "--config",
     callback=read_config,
     is_eager=True,
     help="YAML file with defaults for these options.",
     show_default=False,
-    envvar="UNIDRIVE_CONFIG",
-    show_envvar=False,
 )
-DEBUG = typer.Option(
-    False, "--debug", help="Show a traceback with an error.", envvar="UNIDRIVE_DEBUG", show_envvar=False
+DEBUG = option(False, "--debug", help="Show a traceback with an error.")
+JSON = option(False, "--json", help="Print one JSON object instead of text.")
+VERSION = option(None, "--version", help="Version folder, where the dataset has several.", show_default=False)
+SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
+RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, or a dataset folder."
+DEPTH_LIMIT = option(
+    None, "--depth-limit", help="D0: distance in metres of what is not ground (default: the rig's, or 50)."
 )
-JSON = typer.Option(
-    False, "--json", help="Print one JSON object instead of text.", envvar="UNIDRIVE_JSON", show_envvar=False
+GROUND_HEIGHT = option(
+    None, "--ground-height", help="Height in metres of the ground in the ego frame (default: the rig's, or 0)."
 )
-SCENES = typer.Option(
-    [],
-    "--scene",
-    help="Only this scene (repeatable).",
-    show_default=False,
-    envvar="UNIDRIVE_SCENE",
-    show_envvar=False,
+BLEND = option("angular", "--blend", help="How overlapping source pictures are joined.")
+EGO_MOTION = option(
+    True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
 )
+JOBS = option(
+    None, "--jobs", "-j", help="Samples worked on at once; 0 works in this process alone (default: one per core)."
+)
+
+
+def warp_choices(
+    rig: Rig, depth_limit_m: float | None, ground_height_m: float | None, blend: Blend, ego_motion: bool
+) -> WarpChoices:
+    """The options of the warp; where one is not given the rig's own value counts, then the default."""
+
+    def first(*values: float | None) -> float:
+        return next(value for value in values if value is not None)
+
+    return WarpChoices(
+        first(depth_limit_m, rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
+        first(ground_height_m, rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
+        blend,
+        ego_motion,
+    )
+
+
+def jobs_of(jobs: int | None) -> int:
+    """The number of jobs: one per core where none is given."""
+    return (os.cpu_count() or 1) if jobs is None else jobs
+
+
+def say_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> None:
+    """Prints rows of text in aligned columns: the first `left` columns to the left, the others to the right."""
+    widths = [max(len(row[column]) for row in (header, *rows)) for column in range(len(header))]
+    for row in (header, *rows):
+        cells = (
+            cell.ljust(width) if place < left else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        typer.echo("  ".join(cells))
 
 
 def human_bytes(count: float) -> str:

@@ -69,7 +69,7 @@ def seen_boxes(
         cam_from_ego = inverse(camera.ego_from_cam)
         ahead = _ahead(cam_from_ego, corners)
         corners_cam = transform(cam_from_ego, corners[ahead])
-        shows = _may_show(camera.lens, corners_cam)
+        shows = _may_show(camera.pinhole, corners_cam)
         near = ahead[shows]
         by_views[near] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[near]), mask)
         for place, bounds in _bounds_2d(camera, corners_cam[shows], mask):
@@ -129,7 +129,7 @@ def _bounds_2d(
 
 def _pixels(camera: Camera, points_cam: Float) -> Float:
     """Pixels (..., 2) of points (..., 3) in front of a virtual camera, also beside its picture."""
-    lens = camera.lens
+    lens = camera.pinhole
     pixels: Float = points_cam[..., :2] / points_cam[..., 2:]
     return pixels * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
 

@@ -15,19 +15,20 @@ import msgspec
 import numpy as np
 
 from unidrive_cli import __version__
-from unidrive_cli.convert.destination import MASKS, PROVENANCE, RUN, TRAINING, Destination
 from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
-from unidrive_cli.convert.plan import Plan, picture_size_of
+from unidrive_cli.convert.plan import Plan
 from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.verify import Verified, verify_staged
 from unidrive_cli.errors import OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
+from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
+from unidrive_cli.tables.destination import RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.table import write_rows
-from unidrive_cli.warp.pictures import encode_mask
+from unidrive_cli.warp.pictures import encode_mask, size_of_file
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
 
@@ -185,12 +186,12 @@ def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> Non
 def _camera_masks(plan: Plan, destination: Destination) -> None:
     """Static coverage: the source's most frequent rig, all cameras at one moment."""
     options = plan.options
-    rig, _ = rig_of_dataset(plan.dataset, options.scenes, picture_size_of)
+    rig, _ = rig_of_dataset(plan.dataset, options.scenes, size_of_file)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
     renderer = Renderer(plan.rig, options.depth_limit_m, options.ground_height_m, options.blend)
     for camera, view in zip(plan.rig.cameras, renderer.tables(sources), strict=True):
-        destination.write(f"{MASKS}/{camera.channel}.png", view.mask_png)
+        destination.write(camera_mask_name(camera.channel), view.mask_png)
 
 
 def _summary(

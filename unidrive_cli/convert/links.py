@@ -8,10 +8,10 @@ import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from unidrive_cli.convert.destination import Destination
 from unidrive_cli.convert.options import Link
 from unidrive_cli.errors import DatasetError, OutputError
 from unidrive_cli.tables.dataset import Dataset
+from unidrive_cli.tables.destination import Destination
 from unidrive_cli.tables.schema import SampleData
 
 CARRIED_FOLDERS = ("can_bus", "map", "maps")

@@ -6,10 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from unidrive_cli.errors import UsageError
-from unidrive_cli.warp.choices import Blend
-
-DEFAULT_DEPTH_LIMIT_M = 50.0
-DEFAULT_GROUND_HEIGHT_M = 0.0
+from unidrive_cli.warp.choices import WarpChoices
 
 Masks = Literal["frame", "camera", "none"]
 Link = Literal["hardlink", "symlink", "copy"]
@@ -20,15 +17,10 @@ OnError = Literal["stop", "skip"]
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of `convert`, after the rig's own defaults were taken into account.
+class Options(WarpChoices):
+    """Options of `convert`, after the rig's own defaults were taken into account: those of the warp, and these.
 
     Attributes:
-        depth_limit_m: D0, the radius of the half-ball in metres.
-        ground_height_m: height of the ground in the ego frame, metres.
-        blend: `angular` mixes overlapping sources, `nearest` takes the one with the largest weight.
-        ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
-            the reference's.
         quality: JPEG quality, 1 to 100.
         scenes, cameras: names; all where empty.
         masks: one coverage mask per picture, one per virtual camera, or none.
@@ -40,10 +32,6 @@ class Options:
         jobs: worker processes; 0 works in this process.
     """
 
-    depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M
-    ground_height_m: float = DEFAULT_GROUND_HEIGHT_M
-    blend: Blend = "angular"
-    ego_motion: bool = True
     quality: int = 95
     scenes: tuple[str, ...] = ()
     cameras: tuple[str, ...] = ()
@@ -58,10 +46,7 @@ class Options:
     def __post_init__(self) -> None:
         if not 1 <= self.quality <= 100:
             raise UsageError(f"--quality must be from 1 to 100, got {self.quality}.")
-        if not 0 < self.depth_limit_m <= 1e6:
-            raise UsageError(f"--depth-limit must be a positive number of metres, got {self.depth_limit_m:g}.")
-        if not abs(self.ground_height_m) <= 1e3:
-            raise UsageError(f"--ground-height must be a height in metres, got {self.ground_height_m:g}.")
+        super().__post_init__()
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
 

@@ -21,20 +21,21 @@ import simplejpeg
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
-from unidrive_cli.convert.destination import RESERVED
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.units import SKIP_HINT, Frame
-from unidrive_cli.errors import DatasetError, GeometryError, PictureError, RigError
+from unidrive_cli.errors import DatasetError, PictureError, RigError
 from unidrive_cli.geometry.arrays import Float
-from unidrive_cli.geometry.poses import inverse, relative
-from unidrive_cli.geometry.scene import GroundPlane, HalfBall
+from unidrive_cli.geometry.poses import relative
+from unidrive_cli.geometry.scene import HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.rig_of_dataset import lens_and_pose
+from unidrive_cli.tables.destination import RESERVED
+from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
+from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
-from unidrive_cli.warp.pictures import check_size, picture_size
-from unidrive_cli.warp.remap import Source
+from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
+from unidrive_cli.warp.remap import Source, virtual_views
 
 METHOD = 1
 """Version of what the pictures and tables depend on; a change of results raises it."""
@@ -127,11 +128,9 @@ class Plan:
         )
 
     def _source(self, row: SampleData, global_from_ego: Float) -> Source:
-        lens, ego_from_cam = lens_and_pose(self.dataset, row, picture_size_of(self.dataset, row))
-        cam_from_ego = inverse(ego_from_cam)
-        if self.options.ego_motion:
-            cam_from_ego = cam_from_ego @ relative(self.dataset.global_from_ego(row), global_from_ego)
-        return Source(lens, cam_from_ego)
+        size = picture_size_of(self.dataset, row, size_of_file)
+        motion = self.options.ego_motion
+        return Source(*lens_and_cam_from_ego(self.dataset, row, size, global_from_ego, ego_motion=motion))
 
     def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
         rows = self.dataset.annotations.get(unit.sample.token, [])
@@ -161,7 +160,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         RigError, UsageError: a rig or an option that does not fit the dataset.
     """
     _check_channels(dataset, rig)
-    surfaces = _scene_surfaces(rig, options)
+    surfaces = [view.half_ball for view in virtual_views(rig, options.depth_limit_m, options.ground_height_m)]
     notes = list(dataset.notes)
     mended = []
     for finding in check_references(dataset):
@@ -224,18 +223,6 @@ def _check_channels(dataset: Dataset, rig: Rig) -> None:
             raise RigError(f"{channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
 
 
-def _scene_surfaces(rig: Rig, options: Options) -> list[HalfBall]:
-    """The scene surface of each virtual camera."""
-    ground = GroundPlane(options.ground_height_m)
-    surfaces = []
-    for camera in rig.cameras:
-        try:
-            surfaces.append(HalfBall(camera.centre_ego, options.depth_limit_m, ground))
-        except GeometryError as error:
-            raise RigError(error.what, where=f"{rig.name}, camera {camera.channel}") from error
-    return surfaces
-
-
 def _check_filenames(dataset: Dataset) -> None:
     """Every file that goes along: inside the dataset, and under no name that the output needs for itself.
 
@@ -270,8 +257,7 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
     for scene in dataset.scenes_named(options.scenes):
         stem = _file_stem(logfiles.get(scene.log_token, "") or scene.name)
         for sample in dataset.samples_of_scene[scene.token]:
-            rows = dataset.keyframes.get(sample.token, [])
-            reference = _reference(dataset, sample, rows)
+            reference = reference_of(dataset, sample)
             if not abs(reference.timestamp) < MAX_TIMESTAMP:
                 place = dataset.sample_data.place(reference, "timestamp")
                 raise DatasetError(f"{reference.timestamp:g} is no time in microseconds.", where=place)
@@ -279,46 +265,15 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
             names[stem + timestamp] += 1
             if names[stem + timestamp] > 1:
                 timestamp += f"-{names[stem + timestamp]}"
+            cameras = cameras_of(dataset, sample, reference)
             yield Unit(
                 scene,
                 sample,
                 reference,
-                cameras := _cameras(dataset, rows, reference),
-                tuple(row for row in cameras if dataset.sensor_of(row).channel in channels),
+                tuple(cameras.values()),
+                tuple(row for channel, row in cameras.items() if channel in channels),
                 tuple(f"samples/{channel}/{stem}__{channel}__{timestamp}.jpg" for channel in rig.channels),
             )
-
-
-def _reference(dataset: Dataset, sample: Sample, rows: list[SampleData]) -> SampleData:
-    """The row whose time and pose the virtual pictures take: LIDAR_TOP, another lidar, or the nearest camera."""
-    sensors = {row.token: dataset.sensor_of(row) for row in rows}
-    ranks = {"lidar": 1, "camera": 2}
-    candidates = [row for row in rows if sensors[row.token].modality in ranks]
-    if not candidates:
-        raise DatasetError(
-            "the sample has no key frame of a lidar or a camera, so it has no pose.",
-            where=dataset.sample.place(sample, "token"),
-        )
-
-    def rank(row: SampleData) -> tuple[int, float, str]:
-        sensor = sensors[row.token]
-        top = sensor.channel == LIDAR_REFERENCE
-        return (0 if top else ranks[sensor.modality], abs(row.timestamp - sample.timestamp), sensor.channel)
-
-    return min(candidates, key=rank)
-
-
-def _cameras(dataset: Dataset, rows: list[SampleData], reference: SampleData) -> tuple[SampleData, ...]:
-    """The camera rows of a sample; of several of one channel the one nearest in time to the reference."""
-    chosen: dict[str, SampleData] = {}
-    for row in rows:
-        sensor = dataset.sensor_of(row)
-        if sensor.modality != "camera":
-            continue
-        other = chosen.get(sensor.channel)
-        if other is None or abs(row.timestamp - reference.timestamp) < abs(other.timestamp - reference.timestamp):
-            chosen[sensor.channel] = row
-    return tuple(chosen[channel] for channel in sorted(chosen))
 
 
 def _check_cameras(plan: Plan) -> None:
@@ -335,10 +290,10 @@ def _check_cameras(plan: Plan) -> None:
                 continue
             seen.add(calibration)
             if stop or (row.width and row.height):
-                size = picture_size_of(dataset, row)
+                size = picture_size_of(dataset, row, size_of_file)
                 lens_and_pose(dataset, row, size)
                 if stop:
-                    check_size(read_head(path), size, str(path))
+                    check_size(read_head(path, SKIP_HINT), size, str(path))
 
 
 def _refuse_missing(path: Path, place: str) -> None:
@@ -380,30 +335,3 @@ def _file_stem(name: str) -> str:
     """A log or scene name as part of a file name."""
     stem = re.sub(r"[^A-Za-z0-9._+\-]", "-", name)[:120].lstrip(".-")
     return stem or "scene"
-
-
-def picture_size_of(dataset: Dataset, row: SampleData) -> tuple[int, int]:
-    """(width, height) in pixels of a camera row: the table's, or the file's where the table has none.
-
-    Raises:
-        PictureError: neither says it.
-    """
-    if row.width and row.height:
-        return row.width, row.height
-    path = dataset.path_of(row)
-    return picture_size(read_head(path), str(path))
-
-
-def read_head(path: Path) -> bytes:
-    """The first 64 kB of a picture, which hold its size.
-
-    Raises:
-        PictureError: it cannot be read.
-    """
-    try:
-        with path.open("rb") as stream:
-            return stream.read(1 << 16)
-    except OSError as error:
-        raise PictureError(
-            f"the picture cannot be read: {error.strerror}.", where=str(path), hint=SKIP_HINT
-        ) from error

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
+import functools
 import time
 from collections.abc import Callable, Iterator
-from multiprocessing import resource_tracker
 from pathlib import Path
 
 import cv2
 
-from unidrive_cli.convert.destination import (
+from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, write_run
+from unidrive_cli.convert.plan import Plan, Unit
+from unidrive_cli.convert.units import Frame, Job, Receipt, read_receipt, run_unit
+from unidrive_cli.convert.verify import verify
+from unidrive_cli.errors import CheckError, DatasetError, UnidriveError
+from unidrive_cli.tables.destination import (
     Destination,
     abandon,
     begin,
@@ -22,11 +25,7 @@ from unidrive_cli.convert.destination import (
     resolved_destination,
     sweep,
 )
-from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, write_run
-from unidrive_cli.convert.plan import Plan, Unit
-from unidrive_cli.convert.units import Frame, Job, Receipt, read_receipt, run_unit
-from unidrive_cli.convert.verify import verify
-from unidrive_cli.errors import CheckError, DatasetError, UnidriveError
+from unidrive_cli.workers import in_workers
 
 Progress = Callable[[int, int], None]
 """Called with (finished units, all units)."""
@@ -116,38 +115,9 @@ def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Fai
         for unit in units:
             yield _attempt(job, _frame(plan, unit, skip=skip), skip)
         return
-    import joblib
-    from joblib.externals.loky import get_reusable_executor
-    from joblib.externals.loky.backend import resource_tracker as loky_tracker
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    parallel = joblib.Parallel(n_jobs=min(plan.options.jobs, len(units)), return_as="generator_unordered")
-    frames: Iterator[Frame | Failure] = (_frame(plan, unit, skip=skip) for unit in units)
-    try:
-        resource_tracker.ensure_running()  # the start of either would let interrupts through again
-        loky_tracker.ensure_running()
-        with _interrupts_held():
-            outcomes = parallel(joblib.delayed(_attempt_in_worker)(job, frame, skip) for frame in frames)
-        yield from outcomes
-    except KeyboardInterrupt:
-        get_reusable_executor().shutdown(wait=False, kill_workers=True)
-        raise
-    except BrokenProcessPool as error:
-        raise UnidriveError(
-            "a worker process was killed, most likely because memory ran out.",
-            hint="The same command continues; try fewer --jobs.",
-        ) from error
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits; processes started meanwhile never see it: this one ends them, without their tracebacks."""
-    interrupts = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, interrupts)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts)
+    frames = (_frame(plan, unit, skip=skip) for unit in units)
+    work = functools.partial(_attempt_in_worker, job, skip)
+    yield from in_workers(work, frames, min(plan.options.jobs, len(units)))
 
 
 def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
@@ -159,7 +129,7 @@ def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
         return Failure(unit.sample.token, error.sentence)
 
 
-def _attempt_in_worker(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
+def _attempt_in_worker(job: Job, skip: bool, frame: Frame | Failure) -> Receipt | Failure:
     cv2.setNumThreads(1)  # one process per core
     return _attempt(job, frame, skip)
 

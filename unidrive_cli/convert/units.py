@@ -11,12 +11,12 @@ from pathlib import Path
 import msgspec
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
-from unidrive_cli.convert.destination import MASKS, RECEIPTS, WORK, Destination
 from unidrive_cli.convert.options import Masks, Options
-from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.rig.model import Rig
-from unidrive_cli.warp.pictures import Picture, decode_picture, encode_jpeg
+from unidrive_cli.tables.converted import WORK, mask_name
+from unidrive_cli.tables.destination import RECEIPTS, Destination
+from unidrive_cli.warp.pictures import encode_jpeg, read_picture
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer
 
@@ -118,7 +118,10 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         OutputError: a file cannot be written.
     """
     renderer = renderer_of(job)
-    pictures = [read_picture(path, source) for path, source in zip(frame.paths, frame.sources, strict=True)]
+    pictures = [
+        read_picture(Path(path), (source.lens.width_px, source.lens.height_px), SKIP_HINT)
+        for path, source in zip(frame.paths, frame.sources, strict=True)
+    ]
     tables = renderer.tables(frame.sources)
     sizes = []
     for view, name in zip(tables, frame.pictures, strict=True):
@@ -138,30 +141,6 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
     )
     job.destination.write(receipt_name(frame.sample_token), msgspec.json.encode(receipt))
     return receipt
-
-
-def mask_name(picture_name: str) -> str:
-    """Where the mask of a virtual picture goes: masks/<CHANNEL>/<the picture's name>.png."""
-    path = Path(picture_name)
-    return f"{MASKS}/{path.parent.name}/{path.stem}.png"
-
-
-def read_picture(path: str, source: Source) -> Picture:
-    """The decoded picture of a source.
-
-    Raises:
-        PictureError: missing, broken, or of another size than its lens.
-    """
-    try:
-        if not Path(path).is_file():
-            raise PictureError("the picture is missing or is no file.", where=path, hint=SKIP_HINT)
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=path, hint=SKIP_HINT) from error
-    try:
-        return decode_picture(data, (source.lens.width_px, source.lens.height_px), path)
-    except PictureError as error:
-        raise PictureError(error.what, where=error.where, hint=error.hint or SKIP_HINT) from error
 
 
 @functools.lru_cache(maxsize=1)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import random
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from unidrive_cli.check.references import check_references
-from unidrive_cli.convert.destination import KEPT_WORK, WORK, Destination
 from unidrive_cli.convert.plan import Plan
 from unidrive_cli.errors import CheckError, UnidriveError
 from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.destination import Destination, as_finished
+from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import SampleData
 from unidrive_cli.warp.pictures import decode_picture
 
@@ -31,7 +29,7 @@ class Verified:
 
 
 def verify_staged(plan: Plan, destination: Destination, staged_tables: Path) -> Verified:
-    """Verifies an output whose tables are still staged: a folder of links shows it as it will be.
+    """Verifies an output whose tables are still staged.
 
     Args:
         staged_tables: folder with the output's tables.
@@ -39,16 +37,8 @@ def verify_staged(plan: Plan, destination: Destination, staged_tables: Path) -> 
     Raises:
         CheckError: something is wrong; the sentence says what.
     """
-    root = destination.work / "check"
-    shutil.rmtree(root, ignore_errors=True)
-    root.mkdir()
-    for entry in destination.root.iterdir():
-        if entry.name not in (WORK, KEPT_WORK, plan.dataset.version):
-            (root / entry.name).symlink_to(entry)
-    (root / plan.dataset.version).symlink_to(staged_tables)
-    verified = verify(plan, root)
-    shutil.rmtree(root)
-    return verified
+    with as_finished(destination, staged_tables, plan.dataset.version) as root:
+        return verify(plan, root)
 
 
 def verify(plan: Plan, root: Path) -> Verified:
@@ -70,7 +60,7 @@ def verify(plan: Plan, root: Path) -> Verified:
     if findings:
         raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
     present, decoded = _check_pictures(plan, dataset, root)
-    boxes = _check_devkit(root, plan.dataset.version, len(dataset.sample_annotation.rows))
+    boxes = check_devkit(root, plan.dataset.version, len(dataset.sample_annotation.rows))
     return Verified(len(list((root / plan.dataset.version).glob("*.json"))), present, decoded, boxes)
 
 
@@ -95,27 +85,3 @@ def _decode(root: Path, row: SampleData) -> None:
         decode_picture((root / row.filename).read_bytes(), (row.width or 0, row.height or 0), row.filename)
     except UnidriveError as error:
         raise CheckError(f"a picture that was written is broken: {error}", where="the output") from error
-
-
-def _check_devkit(root: Path, version: str, annotations: int) -> int:
-    """Opens the dataset with nuscenes-devkit and lets it project the boxes of a few samples."""
-    from nuscenes.nuscenes import NuScenes
-
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
-            if len(nusc.sample_annotation) != annotations:
-                raise CheckError(
-                    f"nuscenes-devkit reads {len(nusc.sample_annotation)} annotations, not {annotations}."
-                )
-            boxes = 0
-            for sample in nusc.sample[:: max(len(nusc.sample) // 5, 1)]:
-                for channel, token in sample["data"].items():
-                    if nusc.get("sample_data", token)["sensor_modality"] == "camera":
-                        path, seen, _ = nusc.get_sample_data(token)
-                        boxes += len(seen)
-                        if not Path(path).is_file():
-                            raise CheckError(f"nuscenes-devkit looks for {path}, which is not there ({channel}).")
-    except (AssertionError, LookupError, ValueError, TypeError, AttributeError, OSError) as error:
-        raise CheckError(f"nuscenes-devkit does not open the output: {type(error).__name__}: {error}.") from error
-    return boxes

@@ -81,6 +81,12 @@ def transform(a_from_b: Float, points_b: Float) -> Float:
     return points_a
 
 
+def turn_rad(rotation: Float) -> float:
+    """Angle of a rotation matrix (3, 3) about its axis, 0 to pi, accurate for small angles too."""
+    half_sine = np.linalg.norm(rotation - np.eye(3)) / math.sqrt(8)
+    return 2 * math.asin(min(float(half_sine), 1.0))
+
+
 def rotation_from_quaternion(quaternion: Any, *, unit_tolerance: float | None = None) -> Float:
     """Rotation matrix (3, 3) of a quaternion (4,) in the order w, x, y, z (nuScenes schema).
 

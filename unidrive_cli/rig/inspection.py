@@ -8,12 +8,18 @@ from itertools import combinations
 import numpy as np
 
 from unidrive_cli.geometry.circle import STEP_DEG, arcs_deg, horizon_seen
+from unidrive_cli.geometry.lenses import Lens, Pinhole
 from unidrive_cli.rig.model import Rig
 
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """One camera in the units of the rig file."""
+    """One camera in the units of the rig file.
+
+    Attributes:
+        lens: `pinhole`, or the model of its distortion.
+        blank_share: share of the picture beyond the distortion model's field, where pixels have no ray.
+    """
 
     channel: str
     width_px: int
@@ -24,6 +30,8 @@ class CameraFacts:
     pitch_deg: float
     roll_deg: float
     position_m: tuple[float, float, float]
+    lens: str = "pinhole"
+    blank_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +73,8 @@ def inspect_rig(rig: Rig) -> RigFacts:
                 pitch,
                 roll,
                 (x, y, z),
+                lens.model,
+                _blank_share(lens),
             )
         )
     seen = horizon_seen([(camera.lens, camera.ego_from_cam) for camera in rig.cameras])
@@ -85,3 +95,12 @@ def inspect_rig(rig: Rig) -> RigFacts:
         overlaps,
         arcs_deg(~anything),
     )
+
+
+def _blank_share(lens: Lens) -> float:
+    """Share of a picture whose pixels have no ray, from some forty thousand of them."""
+    if isinstance(lens, Pinhole):
+        return 0.0
+    places = (np.arange(200) + 0.5) / 200
+    pixels = np.stack(np.meshgrid(places * lens.width_px - 0.5, places * lens.height_px - 0.5), axis=-1)
+    return round(float(np.isnan(lens.unproject(pixels)[..., 0]).mean()), 3)

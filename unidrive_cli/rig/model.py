@@ -12,13 +12,14 @@ import numpy as np
 
 from unidrive_cli.errors import GeometryError, RigError
 from unidrive_cli.geometry.arrays import Float, read_only
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import Lens, Pinhole
 from unidrive_cli.geometry.poses import check_pose, yaw_pitch_roll_from_rotation
 
 CHANNEL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,63}")
 """Channel names become folder names."""
 NO_CHANNEL_NAME = "is not a channel name: letters, digits, _ and - were expected, 64 at most."
 _DIGEST_DIGITS = 9
+_COEFFICIENT_DIGITS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +28,12 @@ class Camera:
 
     Attributes:
         channel: its nuScenes channel name, such as CAM_FRONT.
-        lens: intrinsics and picture size.
+        lens: intrinsics, picture size and distortion.
         ego_from_cam: (4, 4) pose; what `calibrated_sensor` stores as translation and rotation.
     """
 
     channel: str
-    lens: Pinhole
+    lens: Lens
     ego_from_cam: Float
 
     def __post_init__(self) -> None:
@@ -50,6 +51,17 @@ class Camera:
         """Angles of the rig file's convention, in degrees."""
         return yaw_pitch_roll_from_rotation(self.ego_from_cam[:3, :3])
 
+    @property
+    def pinhole(self) -> Pinhole:
+        """The lens of a virtual camera.
+
+        Raises:
+            GeometryError: this camera has lens distortion, so pictures cannot be rendered for it.
+        """
+        if not isinstance(self.lens, Pinhole):
+            raise GeometryError(f"has lens distortion ({self.lens.model}); a virtual camera is a pinhole.")
+        return self.lens
+
     def numbers(self) -> list[object]:
         """All that a picture through this camera depends on, for digests.
 
@@ -58,7 +70,10 @@ class Camera:
         lens = self.lens
         intrinsics = [round(float(n), _DIGEST_DIGITS) for n in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
         pose = (np.round(self.ego_from_cam, _DIGEST_DIGITS) + 0.0).tolist()  # no negative zeros
-        return [self.channel, lens.width_px, lens.height_px, intrinsics, pose]
+        numbers: list[object] = [self.channel, lens.width_px, lens.height_px, intrinsics, pose]
+        if not isinstance(lens, Pinhole):
+            numbers.append([lens.model, [round(n, _COEFFICIENT_DIGITS) + 0.0 for n in lens.coefficients]])
+        return numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
 from unidrive_cli.errors import GeometryError, RigError, did_you_mean
-from unidrive_cli.geometry.lenses import MAX_SIDE_PX, Pinhole
+from unidrive_cli.geometry.lenses import DISTORTED_LENSES, MAX_SIDE_PX, Lens, Pinhole, lens_of
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.model import CHANNEL_NAME, NO_CHANNEL_NAME, Camera, Rig
@@ -44,6 +44,8 @@ _CAMERA_KEYS = (
     "rotation",
     "distortion",
 )
+_DISTORTION_KEYS = ("model", "coefficients")
+_DISTORTION_FORM = f"{{model: {' or '.join(DISTORTED_LENSES)}, coefficients: [...]}}"
 _ORIGINS = ("rear_axle", "vehicle_centre")
 
 
@@ -134,16 +136,11 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
     if not isinstance(entry, CommentedMap):
         raise RigError("must be a mapping with width, height, hfov, position and yaw.", where=where)
     _check_keys(entry, _CAMERA_KEYS, ("width", "height", "position"), where)
-    if "distortion" in entry:
-        raise _error(
-            entry,
-            "distortion",
-            where,
-            "is not supported by this version: cameras of a rig file are pinholes.",
-        )
     position = _numbers(entry, "position", 3, where)
     position[0] += offset_x_m
-    camera = Camera(channel, _lens(entry, where), pose(_rotation(entry, where), position))
+    camera = Camera(
+        channel, _distorted(entry, _pinhole(entry, where), where), pose(_rotation(entry, where), position)
+    )
     height_m = float(ground.height_m(camera.centre_ego))
     if height_m <= 0:
         raise _error(
@@ -152,7 +149,7 @@ def _camera(entries: CommentedMap, channel: object, offset_x_m: float, ground: G
     return camera
 
 
-def _lens(entry: CommentedMap, where: str) -> Pinhole:
+def _pinhole(entry: CommentedMap, where: str) -> Pinhole:
     width, height = (_whole_number(entry, key, where) for key in ("width", "height"))
     if width * height > MAX_PICTURE_PIXELS:
         raise _error(
@@ -168,6 +165,30 @@ def _lens(entry: CommentedMap, where: str) -> Pinhole:
     fx, fy, cx, cy = _numbers(entry, "intrinsics", 4, where)
     with _named(entry, "intrinsics", where):
         return Pinhole(fx, fy, cx, cy, width, height)
+
+
+def _distorted(entry: CommentedMap, pinhole: Pinhole, where: str) -> Lens:
+    """The camera's lens: the pinhole of its intrinsics, with its distortion where it has one."""
+    if "distortion" not in entry:
+        return pinhole
+    distortion = entry["distortion"]
+    if not isinstance(distortion, CommentedMap):
+        raise _error(entry, "distortion", where, f"must be a mapping {_DISTORTION_FORM}, got {distortion!r:.60}.")
+    _check_keys(distortion, _DISTORTION_KEYS, (), f"{where}, distortion")
+    for key in _DISTORTION_KEYS:
+        if key not in distortion:
+            raise _error(entry, "distortion", where, f"lacks the key {key}; it is a mapping {_DISTORTION_FORM}.")
+    where = f"{where}, distortion"
+    model, values = distortion["model"], distortion["coefficients"]
+    if not isinstance(model, str) or model not in DISTORTED_LENSES:
+        guess = did_you_mean(str(model)[:60], DISTORTED_LENSES)
+        known = " or ".join(DISTORTED_LENSES)
+        raise _error(distortion, "model", where, f"must be {known}, got {model!r:.60}. {guess}".rstrip())
+    if not isinstance(values, list):
+        raise _error(distortion, "coefficients", where, f"must be a list of numbers, got {values!r:.60}.")
+    numbers = [_as_number(value, distortion, "coefficients", where) for value in values]
+    with _named(distortion, "coefficients", where, "do not fit"):
+        return lens_of(pinhole, model, numbers)
 
 
 def _rotation(entry: CommentedMap, where: str) -> Any:
@@ -218,12 +239,12 @@ def _exactly_one(entry: CommentedMap, key: str, others: tuple[str, ...], where: 
 
 
 @contextlib.contextmanager
-def _named(mapping: CommentedMap, key: str, where: str) -> Iterator[None]:
+def _named(mapping: CommentedMap, key: str, where: str, verb: str = "does not fit") -> Iterator[None]:
     """Gives an error of the geometry the key, file and line that its numbers came from."""
     try:
         yield
     except GeometryError as error:
-        raise _error(mapping, key, where, f"does not fit: {error.what}") from error
+        raise _error(mapping, key, where, f"{verb}: {error.what}") from error
 
 
 def _error(mapping: Mapping[Any, Any], key: object, where: str, what: str) -> RigError:

@@ -15,6 +15,7 @@ from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
+from unidrive_cli.tables.converted import MARKER
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.paths import Inside
 from unidrive_cli.tables.schema import (
@@ -292,6 +293,12 @@ def _version_folder(root: Path, version: str | None) -> Path:
             "is a version folder itself.",
             where=str(root),
             hint=f"Give the folder above it: {root.resolve().parent}.",
+        )
+    if (root / MARKER).exists():
+        raise DatasetError(
+            f"has not been finished ({MARKER}).",
+            where=str(root),
+            hint="Give the same unidrive command again to complete it.",
         )
     raise DatasetError(
         "holds no version folder: no folder with sensor.json and sample_data.json in it.",

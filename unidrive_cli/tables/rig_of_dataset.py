@@ -43,29 +43,31 @@ def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Ca
         raise DatasetError(error.what, where=dataset.sensor.place(sensor, "channel")) from error
 
 
-SizeOf = Callable[[Dataset, SampleData], tuple[int, int]]
-"""Gives (width, height) in pixels of a camera row; files are not read in this room."""
+SizeOfFile = Callable[[Path], tuple[int, int]]
+"""Gives (width, height) in pixels of a picture file; pictures are not opened in this room."""
 
 
-def size_in_table(dataset: Dataset, row: SampleData) -> tuple[int, int]:
-    """The picture size that the table gives.
+def picture_size_of(dataset: Dataset, row: SampleData, size_of_file: SizeOfFile | None = None) -> tuple[int, int]:
+    """(width, height) in pixels of a camera row: the table's, or the file's where the table has none.
 
     Raises:
-        DatasetError: it gives none.
+        DatasetError: neither says it.
     """
-    if not row.width or not row.height:
+    if row.width and row.height:
+        return row.width, row.height
+    if size_of_file is None:
         raise DatasetError("the picture has no size.", where=dataset.sample_data.place(row, "width"))
-    return row.width, row.height
+    return size_of_file(dataset.path_of(row))
 
 
 def rig_of_dataset(
-    dataset: Dataset, scenes: tuple[str, ...] = (), size_of: SizeOf = size_in_table
+    dataset: Dataset, scenes: tuple[str, ...] = (), size_of_file: SizeOfFile | None = None
 ) -> tuple[Rig, list[str]]:
     """The rig that a dataset's pictures were taken with: the most frequent one where there are several.
 
     Args:
         scenes: names of the scenes to look at; all where empty.
-        size_of: where picture sizes come from.
+        size_of_file: says the size of pictures that have none in their table.
 
     Returns:
         The rig, and notes that say what was chosen.
@@ -85,7 +87,7 @@ def rig_of_dataset(
                 sensor = dataset.sensor_of(row)
                 if sensor.modality != "camera":
                     continue
-                width, height = size_of(dataset, row)
+                width, height = picture_size_of(dataset, row, size_of_file)
                 if row.calibrated_sensor_token not in contents:
                     contents[row.calibrated_sensor_token] = _content(calibrations[row.calibrated_sensor_token])
                 entries.append((sensor.channel, contents[row.calibrated_sensor_token], width, height, row))
@@ -99,7 +101,7 @@ def rig_of_dataset(
     (key, count), *others = rigs.most_common()
     order = {channel: index for index, channel in enumerate(dataset.camera_channels())}
     rows = sorted(example[key], key=lambda row: order[dataset.sensor_of(row).channel])
-    cameras = tuple(camera_of(dataset, row, size_of(dataset, row)) for row in rows)
+    cameras = tuple(camera_of(dataset, row, picture_size_of(dataset, row, size_of_file)) for row in rows)
     notes = []
     if others:
         total = sum(rigs.values())
@@ -115,7 +117,16 @@ def _content(row: CalibratedSensor) -> str:
     return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
 
 
-def _open(folder: Path, version: str | None) -> Dataset:
+def open_named(folder: Path, version: str | None = None) -> Dataset:
+    """Opens the dataset that an argument without a `--version` of its own means: a folder, or its version folder.
+
+    Raises:
+        DatasetError: it cannot be read.
+        UsageError: several version folders; the hint says how to name one.
+    """
+    if version is None and folder.is_dir() and is_version_folder(folder):
+        folder = folder.resolve()
+        folder, version = folder.parent, folder.name
     try:
         return open_dataset(folder, version)
     except UsageError as error:
@@ -126,7 +137,7 @@ def _open(folder: Path, version: str | None) -> Dataset:
 
 
 def resolve_rig(
-    text: str, version: str | None = None, scenes: tuple[str, ...] = (), size_of: SizeOf = size_in_table
+    text: str, version: str | None = None, scenes: tuple[str, ...] = (), size_of_file: SizeOfFile | None = None
 ) -> tuple[Rig, list[str]]:
     """The rig that a RIG argument means: a rig file, a shipped rig's name, or a dataset folder.
 
@@ -135,7 +146,7 @@ def resolve_rig(
     Args:
         text: the argument.
         version, scenes: of a dataset folder.
-        size_of: where picture sizes of a dataset come from.
+        size_of_file: says the size of a dataset's pictures that have none in their table.
 
     Returns:
         The rig, and notes that say what was assumed.
@@ -150,10 +161,7 @@ def resolve_rig(
         return load_gallery_rig(text), []
     try:
         if path.is_dir():
-            folder = path.resolve()
-            if version is None and is_version_folder(folder):
-                folder, version = folder.parent, folder.name
-            return rig_of_dataset(_open(path if version is None else folder, version), scenes, size_of)
+            return rig_of_dataset(open_named(path, version), scenes, size_of_file)
         if looks_like_path or path.is_file():
             return load_rig(path), []
     except (OSError, ValueError) as error:

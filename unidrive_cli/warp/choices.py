@@ -2,7 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
+
+from unidrive_cli.errors import UsageError
+
+DEFAULT_DEPTH_LIMIT_M = 50.0
+DEFAULT_GROUND_HEIGHT_M = 0.0
 
 Blend = Literal["angular", "nearest"]
 """How overlapping sources are joined: mixed by weight, or the one with the largest weight."""
+
+
+@dataclass(frozen=True)
+class WarpChoices:
+    """What the virtual pictures depend on besides the rig and the sources.
+
+    Attributes:
+        depth_limit_m: D0, the radius of the half-ball in metres.
+        ground_height_m: height of the ground in the ego frame, metres.
+        blend: `angular` mixes overlapping sources, `nearest` takes the one with the largest weight.
+        ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
+            the reference's.
+    """
+
+    depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M
+    ground_height_m: float = DEFAULT_GROUND_HEIGHT_M
+    blend: Blend = "angular"
+    ego_motion: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 < self.depth_limit_m <= 1e6:
+            raise UsageError(f"--depth-limit must be a positive number of metres, got {self.depth_limit_m:g}.")
+        if not abs(self.ground_height_m) <= 1e3:
+            raise UsageError(f"--ground-height must be a height in metres, got {self.ground_height_m:g}.")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +17,7 @@ Picture = npt.NDArray[np.uint8]
 
 _JPEG_MAGIC = b"\xff\xd8\xff"
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB`\x82"
 
 
 def picture_size(data: bytes, where: str) -> tuple[int, int]:
@@ -57,7 +60,7 @@ def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture
         except (ValueError, KeyError) as error:
             raise PictureError(f"is a broken JPEG file ({_reason(error)}).", where=where) from error
         return picture
-    if not data.endswith(b"IEND\xaeB`\x82"):
+    if not data.endswith(_PNG_END):
         raise PictureError("is a truncated PNG file: its end is missing.", where=where)
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if decoded is None:
@@ -78,6 +81,87 @@ def check_size(data: bytes, size_px: tuple[int, int], where: str) -> None:
             where=where,
             hint="The intrinsics would not fit; correct the tables or the picture.",
         )
+
+
+def size_of_file(path: Path) -> tuple[int, int]:
+    """(width, height) in pixels of a picture file, from its header.
+
+    Raises:
+        PictureError: it cannot be read, or is no picture.
+    """
+    return picture_size(read_head(path), str(path))
+
+
+def read_head(path: Path, hint: str = "") -> bytes:
+    """The first 64 kB of a picture, which hold its size.
+
+    Raises:
+        PictureError: it cannot be read; `hint` says what to do about it.
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.read(1 << 16)
+    except OSError as error:
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path), hint=hint) from error
+
+
+def read_picture(path: Path, size_px: tuple[int, int], hint: str = "") -> Picture:
+    """The decoded picture (height, width, 3) of a file, BGR.
+
+    Args:
+        size_px: (width, height) that the tables promise.
+        hint: what to do about a file that is missing or broken.
+
+    Raises:
+        PictureError: missing, broken, or of another size.
+    """
+    data = _read(path, hint)
+    try:
+        return decode_picture(data, size_px, str(path))
+    except PictureError as error:
+        raise PictureError(error.what, where=error.where, hint=error.hint or hint) from error
+
+
+def read_mask(path: Path, size_px: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    """Where a mask file (a PNG with one channel) of (width, height) pixels is not zero.
+
+    Raises:
+        PictureError: missing, broken, of another form or size.
+    """
+    mask: npt.NDArray[np.bool_] = _read_plane(path, size_px) > 0
+    return mask
+
+
+def read_instances(path: Path, size_px: tuple[int, int]) -> npt.NDArray[np.uint16]:
+    """The numbers (height, width) in an instance picture, a 16-bit PNG with one channel.
+
+    Raises:
+        PictureError: missing, broken, of another form or size.
+    """
+    plane = _read_plane(path, size_px)
+    if plane.dtype != np.uint16:
+        raise PictureError(f"has {plane.dtype} pixels; a 16-bit PNG was expected.", where=str(path))
+    return plane
+
+
+def _read_plane(path: Path, size_px: tuple[int, int]) -> npt.NDArray[Any]:
+    data = _read(path, "")
+    check_size(data, size_px, str(path))
+    plane = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if plane is None or not data.endswith(_PNG_END):
+        raise PictureError("is a broken PNG file.", where=str(path))
+    if plane.ndim != 2:
+        raise PictureError(f"has {plane.shape[2]} channels; one was expected.", where=str(path))
+    return np.asarray(plane)
+
+
+def _read(path: Path, hint: str) -> bytes:
+    try:
+        if not path.is_file():
+            raise PictureError("the picture is missing or is no file.", where=str(path), hint=hint)
+        return path.read_bytes()
+    except OSError as error:
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path), hint=hint) from error
 
 
 def encode_jpeg(picture: Picture, quality: int) -> bytes:

@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from unidrive_cli.errors import GeometryError, RigError
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.blending import angular_weights, parallax_chord
 from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse, transform
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
-from unidrive_cli.rig.model import Camera
+from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.warp.choices import Blend
 
 Mask = npt.NDArray[np.uint8]
@@ -49,7 +50,7 @@ class VirtualView:
     """A virtual camera with the scene surface that its pixels are assumed to show."""
 
     def __init__(self, camera: Camera, depth_limit_m: float, ground: GroundPlane) -> None:
-        lens = camera.lens
+        lens = camera.pinhole
         self.camera = camera
         self.half_ball = HalfBall(camera.centre_ego, depth_limit_m, ground)
         self._x = (np.arange(lens.width_px) - lens.cx_px) / lens.fx_px
@@ -92,6 +93,22 @@ class VirtualView:
         x, y = self._x[columns], self._y[rows]
         points_cam = np.stack([x, y, np.ones_like(x)], axis=-1) * self.depth_m[rows, columns][:, None]
         return transform(frame_from_ego @ self.camera.ego_from_cam, points_cam)
+
+
+def virtual_views(rig: Rig, depth_limit_m: float, ground_height_m: float) -> list[VirtualView]:
+    """The cameras of a virtual rig, each with its own scene surface.
+
+    Raises:
+        RigError: a virtual camera with lens distortion or below the ground, or a depth limit below its height.
+    """
+    ground = GroundPlane(ground_height_m)
+    views = []
+    for camera in rig.cameras:
+        try:
+            views.append(VirtualView(camera, depth_limit_m, ground))
+        except GeometryError as error:
+            raise RigError(error.what, where=f"{rig.name}, camera {camera.channel}") from error
+    return views
 
 
 @dataclass(eq=False)
@@ -171,6 +188,21 @@ def coverage(view: VirtualView, patches: Sequence[Patch]) -> Mask:
     for patch in patches:
         mask[patch.box][patch.valid] = 255
     return mask
+
+
+def dominant_sources(view: VirtualView, patches: Sequence[Patch]) -> npt.NDArray[np.int32]:
+    """(H, W) index of the source with the largest share of each virtual pixel; -1 where none sees it.
+
+    Of equal shares the first source's counts.
+    """
+    shape = view.camera.lens.height_px, view.camera.lens.width_px
+    best = np.zeros(shape, dtype=np.float32)
+    dominant = np.full(shape, -1, dtype=np.int32)
+    for patch in patches:
+        larger = patch.valid & (patch.weight > best[patch.box])
+        best[patch.box][larger] = patch.weight[larger]
+        dominant[patch.box][larger] = patch.source
+    return dominant
 
 
 def _project_patch(view: VirtualView, source: Source, index: int) -> Patch | None:

@@ -10,11 +10,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import Blend
 from unidrive_cli.warp.pictures import Picture, encode_mask
-from unidrive_cli.warp.remap import Mask, Patch, Source, VirtualView, bounds, build_patches, coverage, strips
+from unidrive_cli.warp.remap import (
+    Mask,
+    Patch,
+    Source,
+    VirtualView,
+    bounds,
+    build_patches,
+    coverage,
+    strips,
+    virtual_views,
+)
 
 _BAND_ROWS = 64
 """Rows drawn at once: their warped pixels stay in the processor's cache until they are mixed."""
@@ -34,10 +43,9 @@ class Renderer:
     def __init__(self, rig: Rig, depth_limit_m: float, ground_height_m: float, blend: Blend) -> None:
         """
         Raises:
-            GeometryError: a virtual camera below the ground, or a depth limit below its height.
+            RigError: a virtual camera below the ground, or a depth limit below its height.
         """
-        ground = GroundPlane(ground_height_m)
-        self.views = [VirtualView(camera, depth_limit_m, ground) for camera in rig.cameras]
+        self.views = virtual_views(rig, depth_limit_m, ground_height_m)
         self._blend = blend
         self._tables: tuple[object, list[ViewTables]] | None = None
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from unidrive_cli.convert.destination import PROVENANCE, Destination, abandon, begin, check_destination, held
+from unidrive_cli.tables.destination import Destination, abandon, begin, check_destination, held
 from unidrive_cli.errors import OutputError
+from unidrive_cli.tables.converted import PROVENANCE
 
 PLAN = {"options": {"quality": 95}, "rig": {"name": "a"}, "source": {"digest": "b"}}
 
@@ -18,7 +19,7 @@ def _is_refused(root: Path) -> bool:
         with held(root):
             return False
     except OutputError as error:
-        return "another unidrive convert is writing here" in str(error)
+        return "another unidrive is writing here" in str(error)
 
 
 def test_a_second_process_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:

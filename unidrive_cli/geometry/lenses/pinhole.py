@@ -1,68 +1,21 @@
-"""Lenses: from camera-frame points to pixels and back. One protocol; the pinhole is its first member."""
+"""The pinhole: what a rectified picture, and every virtual one, was taken with."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from unidrive_cli.errors import GeometryError
 from unidrive_cli.geometry.arrays import Bool, Float, finite_array, lengths
-
-PIXEL_TOLERANCE = 1e-6
-"""Rounding allowed, in pixels, where a point falls exactly on the picture's border."""
-
-MAX_SIDE_PX = 32766
-"""Longest picture side: OpenCV's remap addresses source pixels with 16 bits."""
-
-
-class Lens(Protocol):
-    """What the warp, the coverage and the error need of a lens with its picture size."""
-
-    @property
-    def width_px(self) -> int: ...
-
-    @property
-    def height_px(self) -> int: ...
-
-    def project(self, points_cam: Float) -> tuple[Float, Bool]:
-        """Pixels (..., 2) of camera-frame points (..., 3), and where they are inside the picture."""
-
-    def unproject(self, pixels: Float) -> Float:
-        """Unit rays (..., 3) in the camera frame of pixels (..., 2)."""
-
-    def border_sine(self, points_cam: Float) -> Float:
-        """Sine (...) of the angle from each point's ray to the nearest border of the picture's field.
-
-        Positive inside, zero on the border, negative outside.
-        """
+from unidrive_cli.geometry.lenses.base import Intrinsics
 
 
 @dataclass(frozen=True)
-class Pinhole:
-    """A rectified camera: fx, fy, cx, cy and the picture size, all in pixels.
-
-    Integer pixel coordinates are pixel centres; the picture covers [-0.5, W-0.5] x [-0.5, H-0.5].
-    """
-
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    width_px: int
-    height_px: int
-
-    def __post_init__(self) -> None:
-        finite_array([self.fx_px, self.fy_px, self.cx_px, self.cy_px], (4,), "camera intrinsics fx, fy, cx, cy")
-        if self.fx_px <= 0 or self.fy_px <= 0:
-            raise GeometryError(f"focal lengths must be positive, got fx {self.fx_px:g}, fy {self.fy_px:g}.")
-        for name, side in (("width", self.width_px), ("height", self.height_px)):
-            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MAX_SIDE_PX:
-                raise GeometryError(
-                    f"{name} must be a whole number of pixels from 1 to {MAX_SIDE_PX}, got {side!r}."
-                )
+class Pinhole(Intrinsics):
+    """A rectified camera: fx, fy, cx, cy and the picture size, all in pixels."""
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, width_px: int, height_px: int) -> Pinhole:
@@ -93,9 +46,12 @@ class Pinhole:
         return cls(fx, fy, cx, cy, width_px, height_px)
 
     @property
-    def matrix(self) -> Float:
-        """K (3, 3), in pixels."""
-        return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
+    def model(self) -> str:
+        return "pinhole"
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        return ()
 
     @property
     def hfov_deg(self) -> float:
@@ -113,13 +69,6 @@ class Pinhole:
         depth = np.where(in_front, z, 1.0)
         pixels = np.stack([self.fx_px * x / depth + self.cx_px, self.fy_px * y / depth + self.cy_px], axis=-1)
         return pixels, in_front & self.contains(pixels)
-
-    def contains(self, pixels: Float) -> Bool:
-        """Where pixels (..., 2) lie inside the picture's whole area, to PIXEL_TOLERANCE."""
-        u, v = pixels[..., 0], pixels[..., 1]
-        low, high_u, high_v = -0.5 - PIXEL_TOLERANCE, self.width_px - 0.5, self.height_px - 0.5
-        inside: Bool = (u >= low) & (u <= high_u + PIXEL_TOLERANCE) & (v >= low) & (v <= high_v + PIXEL_TOLERANCE)
-        return inside
 
     def unproject(self, pixels: Float) -> Float:
         x = (pixels[..., 0] - self.cx_px) / self.fx_px

@@ -13,33 +13,32 @@ from pathlib import Path
 from typing import Any
 
 from unidrive_cli.errors import DatasetError, OutputError, UsageError
+from unidrive_cli.tables.converted import MARKER, MASKS, PROVENANCE, WORK
 
-PROVENANCE = "unidrive.json"
 RUN = "run.json"
 TRAINING = "TRAINING.md"
-WORK = ".unidrive"
 KEPT_WORK = ".unidrive-done"
 OLD = ".unidrive-old"
 RECEIPTS = "receipts"
 PLAN = "plan.json"
-MARKER = "UNFINISHED.txt"
-MASKS = "masks"
 RESERVED = (PROVENANCE, RUN, TRAINING, WORK, KEPT_WORK, OLD, MARKER, MASKS)
 """Names at the top of DST that no file of the source may take."""
-_MARKER_TEXT = "unidrive convert has not finished here. Run the same command again to complete this dataset.\n"
+_MARKER_TEXT = "unidrive has not finished here. Run the same command again to complete this dataset.\n"
 
 
 @dataclass(frozen=True)
 class Destination:
-    """DST and the folders that the conversion keeps in it while it is not finished.
+    """DST and the folders that a command keeps in it while the dataset is not finished.
 
     Attributes:
         root: DST, an absolute path without links.
         started: whether this run put the first things into it.
+        provenance: name of the file that says how a finished dataset was made.
     """
 
     root: Path
     started: bool = False
+    provenance: str = PROVENANCE
 
     @property
     def work(self) -> Path:
@@ -57,7 +56,7 @@ class Destination:
     @property
     def finished(self) -> bool:
         """Whether this is a dataset of ours that was completed and verified."""
-        return (self.root / PROVENANCE).is_file() and not self.work.exists()
+        return (self.root / self.provenance).is_file() and not self.work.exists()
 
     def write(self, name: str, data: bytes) -> None:
         """Writes a file below DST, whole or not at all: in the work folder first, then renamed.
@@ -134,15 +133,17 @@ def same_device(source: Path, destination: Path) -> bool:
     return source.stat().st_dev == _existing(resolved_destination(destination)).stat().st_dev
 
 
-def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> bool:
-    """Whether DST already holds this very conversion, whole or in part.
+def check_destination(root: Path, identity: dict[str, Any], *, force: bool, provenance: str = PROVENANCE) -> bool:
+    """Whether DST already holds this very dataset, whole or in part.
 
     Args:
         root: `resolved_destination`.
+        identity: all that the dataset depends on, in groups of named values.
+        provenance: name of the file that says how a finished dataset was made.
 
     Raises:
         OutputError: DST is a file, or a folder of somebody else's.
-        UsageError: DST holds a conversion with other options, and `force` is not given.
+        UsageError: DST holds a dataset of ours with other options, and `force` is not given.
     """
     try:
         if not root.exists():
@@ -151,7 +152,7 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> b
             raise OutputError("is a file; a folder was expected.", where=str(root))
         if {entry.name for entry in root.iterdir()} <= {WORK, MARKER, OLD} and not (root / WORK / PLAN).exists():
             return False
-        held = _held_identity(Destination(root))
+        held = _held_identity(Destination(root, provenance=provenance))
     except OSError as error:
         raise OutputError(f"cannot be read: {error.strerror}.", where=str(root)) from error
     if held is None:
@@ -162,7 +163,7 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool) -> b
         )
     if held != identity and not force:
         raise UsageError(
-            f"{root} holds a conversion with other options ({_difference(held, identity)}).",
+            f"{root} holds a dataset with other options ({_difference(held, identity)}).",
             hint="Choose another DST, or replace it with --force.",
         )
     return held == identity
@@ -191,7 +192,7 @@ def held(root: Path) -> Iterator[None]:
     except BlockingIOError as error:
         os.close(descriptor)
         raise OutputError(
-            "another unidrive convert is writing here.", where=str(root), hint="Wait until it has ended, or stop it."
+            "another unidrive is writing here.", where=str(root), hint="Wait until it has ended, or stop it."
         ) from error
     except OSError:
         pass  # a file system without locks
@@ -204,12 +205,14 @@ def held(root: Path) -> Iterator[None]:
                 place.rmdir()
 
 
-def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> Destination:
+def begin(
+    root: Path, identity: dict[str, Any], *, same: bool, force: bool, provenance: str = PROVENANCE
+) -> Destination:
     """Makes DST ready for the units; an old tree that is replaced is moved aside before it is deleted.
 
     Args:
         root: `resolved_destination`, which this process holds.
-        same: DST holds this very conversion (`check_destination`).
+        same: DST holds this very dataset (`check_destination`).
         force: start over even so.
 
     Raises:
@@ -217,10 +220,10 @@ def begin(root: Path, identity: dict[str, Any], *, same: bool, force: bool) -> D
     """
     try:
         if force or not same:
-            _clear(root)
-        destination = Destination(root, started=not (root / WORK).exists())
+            _clear(root, provenance)
+        destination = Destination(root, not (root / WORK).exists(), provenance)
         if destination.kept_work.exists() and destination.started:
-            destination = Destination(root)
+            destination = Destination(root, provenance=provenance)
             destination.kept_work.rename(destination.work)
         destination.work.mkdir(exist_ok=True)
     except OSError as error:
@@ -261,10 +264,10 @@ def sweep(destination: Destination, *, keep_work: bool) -> None:
 def abandon(destination: Destination) -> None:
     """Removes what this run put into DST, where it was the first to do so and finished nothing."""
     finished_units = any((destination.work / RECEIPTS).glob("*.json"))
-    if not destination.started or finished_units or (destination.root / PROVENANCE).exists():
+    if not destination.started or finished_units or (destination.root / destination.provenance).exists():
         return
     with contextlib.suppress(OSError):
-        _clear(destination.root)
+        _clear(destination.root, destination.provenance)
 
 
 def _existing(place: Path) -> Path:
@@ -273,13 +276,13 @@ def _existing(place: Path) -> Path:
     return place
 
 
-def _clear(root: Path) -> None:
+def _clear(root: Path, provenance: str) -> None:
     """Empties DST. What makes it look like a dataset is moved aside first, in case this is interrupted."""
     old = root / OLD
     entries = [entry for entry in root.iterdir() if entry != old]
     if entries:
         old.mkdir(exist_ok=True)
-        for entry in sorted(entries, key=lambda entry: entry.name != PROVENANCE):
+        for entry in sorted(entries, key=lambda entry: entry.name != provenance):
             aside = old / entry.name
             if aside.is_dir() and not aside.is_symlink():
                 shutil.rmtree(aside)
@@ -289,7 +292,7 @@ def _clear(root: Path) -> None:
 
 
 def _held_identity(destination: Destination) -> dict[str, Any] | None:
-    for path, key in ((destination.work / PLAN, None), (destination.root / PROVENANCE, "plan")):
+    for path, key in ((destination.work / PLAN, None), (destination.root / destination.provenance, "plan")):
         try:
             document = json.loads(path.read_bytes())
             held = document if key is None else document[key]
@@ -303,10 +306,10 @@ def _held_identity(destination: Destination) -> dict[str, Any] | None:
 
 def _difference(held: dict[str, Any], wanted: dict[str, Any]) -> str:
     differences = []
-    for group in ("options", "rig", "source"):
-        old, new = held.get(group) or {}, wanted[group]
-        for name in new:
-            if isinstance(old, dict) and old.get(name) != new[name]:
+    for group, new in wanted.items():
+        old = held.get(group)
+        for name in new if isinstance(new, dict) and isinstance(old, dict) else ():
+            if old.get(name) != new[name]:
                 if name == "digest":
                     differences.append(f"another {group}")
                 else:
@@ -314,3 +317,22 @@ def _difference(held: dict[str, Any], wanted: dict[str, Any]) -> str:
     if not differences:
         differences.append("another version of unidrive")
     return "; ".join(dict.fromkeys(differences))
+
+
+@contextlib.contextmanager
+def as_finished(destination: Destination, staged_tables: Path, version: str) -> Iterator[Path]:
+    """A folder of links that shows an unfinished dataset as it will be, for its verification.
+
+    Args:
+        staged_tables: folder with the tables, which are not in their place yet.
+        version: name of the version folder that they will be.
+    """
+    root = destination.work / "check"
+    shutil.rmtree(root, ignore_errors=True)
+    root.mkdir()
+    for entry in destination.root.iterdir():
+        if entry.name not in (WORK, KEPT_WORK, version):
+            (root / entry.name).symlink_to(entry)
+    (root / version).symlink_to(staged_tables)
+    yield root
+    shutil.rmtree(root)

@@ -1,0 +1,614 @@
+"""The renderer that draws triangles with OpenGL, on a graphics card or on Mesa's llvmpipe, without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from unidrive_cli.errors import UnidriveError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.synth import light
+from unidrive_cli.synth.light import GRIDS
+from unidrive_cli.synth.mesh import Mesh, merged
+from unidrive_cli.synth.stage import (
+    FIRST_ACTOR_ID,
+    GROUND_ID,
+    SKY_ID,
+    STRUCTURE_ID,
+    Depth,
+    Instances,
+    Picture,
+    Stage,
+    View,
+)
+from unidrive_cli.synth.textures import LAYERS
+
+_CELL_M = 24.0
+"""Side of the ground squares by which the triangles that do not move are culled."""
+_TILES, _SHADOWS, _STILL, _LINEAR = 0, 1, 2, 3
+"""Texture units."""
+_SUN_RANGE_M = 2048.0
+"""Shadow maps hold what is this near their middle, along the sun's rays."""
+
+Box = tuple[int, int, int, int]
+"""x, y, width, height in texels or pixels."""
+
+
+@dataclass(frozen=True)
+class _Cascade:
+    """One square shadow map, centred near the camera.
+
+    Attributes:
+        half_m: half of the side that it covers.
+        step_m: its centre stays where it is until the camera has left a square of this side.
+        x, y, side: where it lies in the atlas, in texels.
+    """
+
+    half_m: float
+    step_m: float
+    x: int
+    y: int
+    side: int
+
+    @property
+    def texel_m(self) -> float:
+        return 2 * self.half_m / self.side
+
+    def centre(self, eye: Float) -> Float:
+        """(2,) its middle in the sun's frame, for a camera at `eye` (3,) in the sun's frame."""
+        centre: Float = np.round(eye[:2] / self.step_m) * self.step_m
+        return centre
+
+
+_CASCADES = (
+    _Cascade(64.0, 16.0, 0, 0, 4096),
+    _Cascade(288.0, 64.0, 0, 4096, 3072),
+    _Cascade(1800.0, 400.0, 3072, 4096, 1024),
+)
+_ATLAS = (4096, 7168)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Runs of triangles in the index buffer with the boxes that hold them.
+
+    Attributes:
+        first, count: (p,) vertex indices.
+        kind: (p,) 1 where glossy plus 2 where varied: which of the surface programs draws them.
+        middle, half: (p, 3) of the boxes, metres.
+    """
+
+    first: npt.NDArray[np.int64]
+    count: npt.NDArray[np.int64]
+    kind: npt.NDArray[np.int64]
+    middle: Float
+    half: Float
+
+    def inside(self, normals: Float, limits: Float) -> npt.NDArray[np.bool_]:
+        """(p,) where a box reaches into `normals @ point >= limits` of all planes (k, 3), (k,)."""
+        reach = self.middle @ normals.T + self.half @ np.abs(normals).T
+        inside: npt.NDArray[np.bool_] = (reach >= limits).all(axis=1)
+        return inside
+
+
+def gl_missing() -> str | None:
+    """Why GL cannot be had on this machine, or None where it can."""
+    try:
+        open_context().release()
+    except UnidriveError as error:
+        return str(error)
+    return None
+
+
+def open_context() -> Any:
+    """A GL context without a window.
+
+    Raises:
+        UnidriveError: there is none; the hint says what to install.
+    """
+    try:
+        import moderngl
+    except ImportError as error:
+        raise UnidriveError(
+            f"drawing with GL needs the Python package moderngl ({error}).", hint="Install it: pip install moderngl."
+        ) from error
+    reasons = []
+    for settings in ({"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}, {"backend": "egl"}, {}):
+        try:
+            context = moderngl.create_context(standalone=True, require=330, **settings)
+        except Exception as error:  # moderngl and its backends raise bare exceptions of many kinds
+            reasons.append(str(error) or type(error).__name__)
+        else:
+            return context
+    raise UnidriveError(
+        f"no GL 3.3 context can be made without a display ({reasons[0]}).",
+        hint="Debian, Ubuntu: apt install libegl1 libgl1-mesa-dri.",
+    )
+
+
+def gl_name(context: Any) -> str:
+    """What draws in a context, for people."""
+    return f"GL ({context.info['GL_RENDERER']})"
+
+
+class GlRenderer:
+    """Draws one stage with GL: multisampling, shadow maps, everything else as `light` says."""
+
+    def __init__(self, stage: Stage) -> None:
+        """
+        Raises:
+            UnidriveError: no GL context can be made.
+        """
+        self._stage = stage
+        self._light = light.Light.of(stage.day)
+        self._context = open_context()
+        with self._context:
+            self._name = gl_name(self._context)
+            self._build(stage)
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def close(self) -> None:
+        self._context.gc_mode = "context_gc"
+        self._context.release()
+
+    def picture(self, view: View, samples: int) -> Picture:
+        lens = view.lens
+        grid = GRIDS.get(samples)
+        if grid is None:
+            raise ValueError(f"samples must be 1, 4 or 16, got {samples}")
+        with self._context:
+            self._draw_shadows(view)
+            self._set_shadows(view)
+            self._tiles.use(_TILES)
+            self._shaded.use(_SHADOWS)
+            parts = _parts(lens, max(grid // 2, 1))
+            target = self._target(lens, parts[0], grid)
+            for part in parts:
+                target.linear.use()
+                target.linear.viewport = (0, 0, part[2] * grid, part[3] * grid)
+                target.linear.clear()
+                self._context.enable_only(self._context.DEPTH_TEST)
+                self._draw_surfaces(self._surfaces, view, part)
+                self._draw_sky(view, part)
+                self._encode(target, part, grid)
+            pixels = target.bytes.read(viewport=(0, 0, lens.width_px, lens.height_px), components=4)
+        picture = np.frombuffer(pixels, dtype=np.uint8).reshape(lens.height_px, lens.width_px, 4)
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
+
+    def instances(self, view: View) -> tuple[Instances, Depth]:
+        lens = view.lens
+        with self._context:
+            target = self._instance_target(lens)
+            target.use()
+            target.viewport = (0, 0, lens.width_px, lens.height_px)
+            target.clear(SKY_ID, np.inf)
+            self._context.enable_only(self._context.DEPTH_TEST)
+            self._instance.program["axis"] = tuple(view.global_from_cam[:3, 2])
+            self._draw_surfaces([self._instance], view, (0, 0, lens.width_px, lens.height_px))
+            values = target.read(components=2, dtype="f4")
+        both = np.frombuffer(values, dtype=np.float32).reshape(lens.height_px, lens.width_px, 2)
+        return both[..., 0].astype(np.uint16), both[..., 1].copy()
+
+    # Building
+
+    def _build(self, stage: Stage) -> None:
+        context = self._context
+        meshes = [stage.ground, stage.structures, *stage.actors]
+        vertices = np.cumsum([0, *(len(mesh.positions_m) for mesh in meshes)])
+        indices = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
+        cells = [_CELL_M, _CELL_M, *(np.inf for _ in stage.actors)]
+        self._ground, self._structures, *self._actors = (
+            _pieces(mesh, cell, int(first)) for mesh, cell, first in zip(meshes, cells, indices[:-1], strict=True)
+        )
+        order = [
+            mesh.triangles[_order(mesh, cell)[0]].ravel() + first
+            for mesh, cell, first in zip(meshes, cells, vertices[:-1], strict=True)
+        ]
+        self._boxes = [_bounds(mesh.positions_m) for mesh in stage.actors]
+        whole = merged(meshes)
+        columns = (
+            whole.positions_m,
+            whole.normals,
+            whole.uv,
+            whole.albedo,
+            whole.layer[:, None].astype(np.float32),
+            whole.gloss[:, None],
+        )
+        rows = np.hstack([column.astype(np.float32) for column in columns])
+        self._vertices = context.buffer(rows.tobytes() or bytes(52))
+        self._places = context.buffer(np.ascontiguousarray(whole.positions_m).tobytes() or bytes(12))
+        self._indices = context.buffer(np.concatenate(order).astype(np.int32).tobytes() or bytes(12))
+        names = ("position", "normal_mesh", "texture_place", "colour", "layer_index", "shine")
+        self._surfaces = [
+            self._drawing(
+                _program(context, "surface_vertex", "light", "surface_fragment", GLOSSY=kind & 1, VARIED=kind >> 1),
+                (self._vertices, "3f 3f 2f 3f 1f 1f", *names),
+            )
+            for kind in range(4)
+        ]
+        places = (self._places, "3f", "position")
+        self._instance = self._drawing(_program(context, "flat_vertex", "", "instance_fragment"), places)
+        self._shadow = self._drawing(_program(context, "flat_vertex", "", "shadow_fragment"), places)
+        corners = context.buffer(np.array([-1, -1, 1, -1, -1, 1, 1, 1], dtype=np.float32).tobytes())
+        self._sky, self._restore, self._encoding = (
+            _Drawing(program, context.vertex_array(program, [(corners, "2f", "corner")]))
+            for program in (
+                _program(context, "sky_vertex", "light", "sky_fragment", GLOSSY=0, VARIED=0),
+                _program(context, "screen_vertex", "", "restore_fragment"),
+                _program(context, "screen_vertex", "", "encode_fragment"),
+            )
+        )
+        self._build_textures(stage)
+        self._build_shadows()
+        self._targets: dict[tuple[int, int, int], _Target] = {}
+        self._instance_targets: dict[tuple[int, int], Any] = {}
+
+    def _drawing(self, program: Any, content: tuple[Any, ...]) -> _Drawing:
+        buffer, layout, *names = content
+        kept = [name if name in program else f"{name}/" for name in names]
+        fields = [
+            field if name in program else f"{4 * int(field[0])}x"
+            for name, field in zip(names, layout.split(), strict=True)
+        ]
+        used = [name for name in kept if not name.endswith("/")]
+        return _Drawing(
+            program, self._context.vertex_array(program, [(buffer, " ".join(fields), *used)], self._indices)
+        )
+
+    def _build_textures(self, stage: Stage) -> None:
+        chain = light.mip_chain(stage.textures)
+        count, side = stage.textures.shape[:2]
+        padded = np.concatenate([stage.textures, np.full((count, side, side, 1), 255, dtype=np.uint8)], axis=-1)
+        self._tiles = self._context.texture_array((side, side, count), 4, padded.tobytes())
+        self._tiles.build_mipmaps()
+        self._tiles.filter = (self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR)
+        self._tiles.repeat_x = self._tiles.repeat_y = True
+        colours = ("to_sun", "sun", "zenith", "horizon", "sky_mean", "bounce", "cloud_bright", "cloud_dark")
+        varies = [light.VARIED_DEPTH if index in light.VARIED_LAYERS else 0.0 for index in range(count)]
+        for drawing in (*self._surfaces, self._sky):
+            drawing.set(**{name: tuple(getattr(self._light, name).ravel()) for name in colours})
+            drawing.set(cloud=self._light.cloud, haze_m=self._light.haze_m, tiles=_TILES, side=side)
+            drawing.set(means=light.layer_means(chain).tolist(), varies=varies)
+
+    def _build_shadows(self) -> None:
+        self._sun_axes = _sun_axes(self._light.to_sun.ravel().astype(np.float64))
+        self._still, self._shaded = (self._context.depth_texture(_ATLAS) for _ in range(2))
+        self._still.compare_func = ""
+        self._still.filter = (self._context.NEAREST, self._context.NEAREST)
+        self._shaded.compare_func = "<="
+        self._shaded.filter = (self._context.LINEAR, self._context.LINEAR)
+        self._still_map, self._shaded_map = (
+            self._context.framebuffer(depth_attachment=texture) for texture in (self._still, self._shaded)
+        )
+        for drawing in self._surfaces:
+            drawing.set(shadows=_SHADOWS, sun_axes=tuple(self._sun_axes.T.ravel()))
+        self._restore.program["still"] = _STILL
+        self._encoding.program["linear"] = _LINEAR
+        self._centres: list[Float | None] = [None for _ in _CASCADES]
+        self._stale: list[list[Box]] = [[] for _ in _CASCADES]
+        self._cast: tuple[Any, ...] | None = None
+
+    # Shadows
+
+    def _draw_shadows(self, view: View) -> None:
+        """Brings the shadow maps up to date: buildings where the camera has moved on, actors every time."""
+        eye = self._sun_axes @ view.global_from_cam[:3, 3]
+        centres = [cascade.centre(eye) for cascade in _CASCADES]
+        shown = _shown(view, len(self._stage.actors))
+        key = (np.array(centres).tobytes(), view.global_from_actor[shown].tobytes(), shown.tobytes())
+        if key == self._cast:
+            return
+        self._cast = key
+        self._context.enable_only(self._context.DEPTH_TEST)
+        for index, cascade in enumerate(_CASCADES):
+            square = (cascade.x, cascade.y, cascade.side, cascade.side)
+            old = self._centres[index]
+            if old is None or not np.array_equal(old, centres[index]):
+                self._draw_still_shadows(cascade, centres[index])
+                self._centres[index] = centres[index]
+                self._stale[index] = [square]
+            self._renew(self._stale[index])
+            self._stale[index] = self._draw_actor_shadows(cascade, centres[index], view, shown)
+
+    def _draw_still_shadows(self, cascade: _Cascade, centre: Float) -> None:
+        square = (cascade.x, cascade.y, cascade.side, cascade.side)
+        self._still_map.use()
+        self._still_map.viewport = square
+        self._still_map.scissor = square
+        self._still_map.clear(depth=1.0, viewport=square)
+        axes = self._sun_axes[:2]
+        normals = np.concatenate([axes, -axes])
+        limits = np.concatenate([centre - cascade.half_m, -centre - cascade.half_m])
+        pieces = self._structures
+        self._shadow.program["clip_from_q"] = self._sun_clip(cascade, centre)
+        self._shadow.place(np.eye(3), np.zeros(3))
+        for index in np.flatnonzero(pieces.inside(normals, limits)):
+            self._shadow.draw(pieces, int(index))
+
+    def _renew(self, boxes: Sequence[Box]) -> None:
+        """Puts the shadows of what does not move back into the working map."""
+        self._still.use(_STILL)
+        self._shaded_map.use()
+        self._context.depth_func = "1"
+        for box in boxes:
+            self._shaded_map.viewport = box
+            self._shaded_map.scissor = box
+            self._restore.vertices.render(self._context.TRIANGLE_STRIP)
+        self._context.depth_func = "<="
+
+    def _draw_actor_shadows(
+        self, cascade: _Cascade, centre: Float, view: View, shown: npt.NDArray[np.bool_]
+    ) -> list[Box]:
+        """Draws the actors into the working map; the boxes of texels that it may have changed."""
+        square = (cascade.x, cascade.y, cascade.side, cascade.side)
+        self._shaded_map.viewport = square
+        self._shaded_map.scissor = square
+        self._shadow.program["clip_from_q"] = self._sun_clip(cascade, centre)
+        touched = []
+        for index in np.flatnonzero(shown):
+            pose = view.global_from_actor[index]
+            turned = self._sun_axes[:2] @ pose[:3, :3]
+            box_middle, box_half = self._boxes[index]
+            middle = turned @ box_middle + self._sun_axes[:2] @ pose[:3, 3] - centre
+            reach = np.abs(turned) @ box_half
+            low = np.floor((middle - reach + cascade.half_m) / cascade.texel_m).astype(int) - 1
+            high = np.ceil((middle + reach + cascade.half_m) / cascade.texel_m).astype(int) + 1
+            low, high = np.clip(low, 0, cascade.side), np.clip(high, 0, cascade.side)
+            if (high > low).all():
+                size = high - low
+                touched.append((cascade.x + int(low[0]), cascade.y + int(low[1]), int(size[0]), int(size[1])))
+                self._shadow.place(pose[:3, :3], pose[:3, 3])
+                self._shadow.draw_all(self._actors[index])
+        return touched
+
+    def _sun_clip(self, cascade: _Cascade, centre: Float) -> tuple[float, ...]:
+        """The projection along the sun's rays, in the order that GL takes."""
+        clip = np.eye(4)
+        clip[:2, :3] = self._sun_axes[:2] / cascade.half_m
+        clip[:2, 3] = -centre / cascade.half_m
+        clip[2, :3] = -self._sun_axes[2] / _SUN_RANGE_M
+        return tuple(clip.T.ravel())
+
+    def _set_shadows(self, view: View) -> None:
+        """Tells the surfaces where the shadow maps lie from this camera."""
+        eye = self._sun_axes @ view.global_from_cam[:3, 3]
+        cascades, squares = [], []
+        for cascade in _CASCADES:
+            offset = (eye[:2] - cascade.centre(eye)) / cascade.half_m
+            cascades.append((1 / cascade.half_m, offset[0], offset[1], cascade.texel_m))
+            half = np.array([cascade.side / 2, cascade.side / 2])
+            middle = (np.array([cascade.x, cascade.y]) + half) / _ATLAS
+            squares.append((*middle, *(half / _ATLAS)))
+        depth = -0.5 / _SUN_RANGE_M, 0.5 - 0.5 * float(eye[2]) / _SUN_RANGE_M
+        for drawing in self._surfaces:
+            drawing.set(cascades=cascades, squares=squares, sun_depth=depth)
+
+    # Pictures
+
+    def _draw_surfaces(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
+        """Draws all that is inside the part `box` of the picture, the nearest first.
+
+        `drawings` are for the kinds of pieces; one alone draws all.
+        """
+        rotation, eye = view.global_from_cam[:3, :3], view.global_from_cam[:3, 3]
+        planes = _sides(view.lens, box) @ rotation.T
+        clip = tuple((_clip_from_cam(view.lens, box) @ _padded(rotation.T)).T.ravel())
+        for drawing in drawings:
+            drawing.set(clip_from_q=clip, bias=1.0)
+        for index in np.flatnonzero(_shown(view, len(self._actors))).tolist():
+            pose = view.global_from_actor[index]
+            offset = pose[:3, 3] - eye
+            middle, half = self._boxes[index]
+            reach = planes @ (pose[:3, :3] @ middle + offset) + np.abs(planes @ pose[:3, :3]) @ half
+            if (reach >= 0).all():
+                pieces = self._actors[index]
+                for piece, kind in enumerate(pieces.kind.tolist()):
+                    drawing = drawings[kind % len(drawings)]
+                    drawing.place(pose[:3, :3], offset)
+                    drawing.set(id=FIRST_ACTOR_ID + index)
+                    drawing.draw(pieces, piece)
+        for drawing in drawings:
+            drawing.place(np.eye(3), -eye)
+        for pieces, id_ in ((self._structures, STRUCTURE_ID), (self._ground, GROUND_ID)):
+            for drawing in drawings:
+                drawing.set(id=id_, bias=float(pieces is not self._ground))
+            seen = np.flatnonzero(pieces.inside(planes, planes @ eye))
+            away = np.maximum(np.abs(pieces.middle[seen] - eye) - pieces.half[seen], 0)
+            for piece in seen[np.argsort((away * away).sum(axis=1), kind="stable")].tolist():
+                drawings[pieces.kind[piece] % len(drawings)].draw(pieces, piece)
+
+    def _draw_sky(self, view: View, box: Box) -> None:
+        lens = view.lens
+        cam_from_clip = np.array(
+            [
+                [box[2] / 2 / lens.fx_px, 0, (box[0] + box[2] / 2 - 0.5 - lens.cx_px) / lens.fx_px],
+                [0, box[3] / 2 / lens.fy_px, (box[1] + box[3] / 2 - 0.5 - lens.cy_px) / lens.fy_px],
+                [0, 0, 1],
+            ]
+        )
+        self._context.depth_func = "<="
+        self._sky.program["ray_from_clip"] = tuple((view.global_from_cam[:3, :3] @ cam_from_clip).T.ravel())
+        self._sky.vertices.render(self._context.TRIANGLE_STRIP)
+
+    def _encode(self, target: _Target, part: Box, grid: int) -> None:
+        target.bytes.use()
+        target.bytes.viewport = part
+        self._context.enable_only(self._context.NOTHING)
+        target.texture.use(_LINEAR)
+        self._encoding.set(start=part[:2], grid=grid)
+        self._encoding.vertices.render(self._context.TRIANGLE_STRIP)
+
+    def _target(self, lens: Pinhole, part: Box, grid: int) -> _Target:
+        key = (lens.width_px, lens.height_px, grid)
+        if key not in self._targets:
+            size = (part[2] * grid, part[3] * grid)
+            texture = self._context.texture(size, 4, dtype="f2")
+            linear = self._context.framebuffer(texture, self._context.depth_renderbuffer(size))
+            coded = self._context.framebuffer(self._context.renderbuffer(key[:2], 4))
+            self._targets[key] = _Target(linear, texture, coded)
+        return self._targets[key]
+
+    def _instance_target(self, lens: Pinhole) -> Any:
+        size = (lens.width_px, lens.height_px)
+        if size not in self._instance_targets:
+            colour = self._context.renderbuffer(size, 2, dtype="f4")
+            self._instance_targets[size] = self._context.framebuffer(colour, self._context.depth_renderbuffer(size))
+        return self._instance_targets[size]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawing:
+    """A program with the vertices that it is fed."""
+
+    program: Any
+    vertices: Any
+
+    def set(self, **values: Any) -> None:
+        """Sets those uniforms that the program has."""
+        for name, value in values.items():
+            if name in self.program:
+                self.program[name] = value
+
+    def place(self, rotation: Float, offset: Float) -> None:
+        """Sets where the mesh lies."""
+        high = offset.astype(np.float32).astype(np.float64)
+        self.set(turn=tuple(rotation.T.ravel()), offset_high=tuple(high), offset_low=tuple(offset - high))
+
+    def draw(self, pieces: _Pieces, index: int) -> None:
+        self.vertices.render(vertices=int(pieces.count[index]), first=int(pieces.first[index]))
+
+    def draw_all(self, pieces: _Pieces) -> None:
+        for index in range(len(pieces.first)):
+            self.draw(pieces, index)
+
+
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """Where a picture is drawn: linear values of all samples in `texture`, then the picture's bytes."""
+
+    linear: Any
+    texture: Any
+    bytes: Any
+
+
+def _parts(lens: Pinhole, count: int) -> list[Box]:
+    """The picture cut into count x count parts, the first the largest."""
+    width, height = -(-lens.width_px // count), -(-lens.height_px // count)
+    return [
+        (x, y, min(width, lens.width_px - x), min(height, lens.height_px - y))
+        for y in range(0, lens.height_px, height)
+        for x in range(0, lens.width_px, width)
+    ]
+
+
+def _clip_from_cam(lens: Pinhole, box: Box) -> Float:
+    """(4, 4) GL's projection of one part of the picture.
+
+    GL's window coordinates of pixel centres are halves and OpenCV's are integers, hence the 0.5. The rows
+    are drawn top first, so that what is read back needs no turning; that swaps front and back faces.
+    """
+    x, y, width, height = box
+    clip = np.zeros((4, 4))
+    clip[0, 0], clip[0, 2] = 2 * lens.fx_px / width, 2 * (lens.cx_px + 0.5 - x) / width - 1
+    clip[1, 1], clip[1, 2] = 2 * lens.fy_px / height, 2 * (lens.cy_px + 0.5 - y) / height - 1
+    clip[2, 2] = (light.FAR_M + light.NEAR_M) / (light.FAR_M - light.NEAR_M)
+    clip[2, 3] = -2 * light.FAR_M * light.NEAR_M / (light.FAR_M - light.NEAR_M)
+    clip[3, 2] = 1
+    return clip
+
+
+def _sides(lens: Pinhole, box: Box) -> Float:
+    """(5, 3) inward normals, camera frame, of the planes through the camera that bound the part `box`; and ahead."""
+    x, y, width, height = box
+    left, top = x - 0.5 - lens.cx_px, y - 0.5 - lens.cy_px
+    return np.array(
+        [
+            [lens.fx_px, 0, -left],
+            [-lens.fx_px, 0, left + width],
+            [0, lens.fy_px, -top],
+            [0, -lens.fy_px, top + height],
+            [0, 0, 1],
+        ]
+    )
+
+
+def _padded(rotation: Float) -> Float:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return matrix
+
+
+def _shown(view: View, count: int) -> npt.NDArray[np.bool_]:
+    return np.ones(count, dtype=np.bool_) if view.shown is None else view.shown
+
+
+def _sun_axes(to_sun: Float) -> Float:
+    """(3, 3) rows: two axes across the sun's rays, and the direction to the sun."""
+    aside = np.cross([0.0, 0.0, 1.0], to_sun)
+    if np.linalg.norm(aside) < 1e-6:
+        aside = np.array([1.0, 0.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(to_sun, aside), to_sun])
+
+
+def _bounds(points_m: npt.NDArray[Any]) -> tuple[Float, Float]:
+    """Middle and half size (3,) of the box round some points (n, 3)."""
+    if not len(points_m):
+        return np.zeros(3), np.zeros(3)
+    low, high = points_m.min(axis=0).astype(np.float64), points_m.max(axis=0).astype(np.float64)
+    return (low + high) / 2, (high - low) / 2
+
+
+def _order(mesh: Mesh, cell_m: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The order of triangles that puts one ground square and kind together; their codes in it, and their kinds."""
+    last = mesh.triangles[:, 2]
+    kind = (mesh.gloss[last] > 0) + 2 * np.isin(mesh.layer[last], light.VARIED_LAYERS).astype(np.int64)
+    code = kind
+    if np.isfinite(cell_m):
+        middle = mesh.positions_m[mesh.triangles].astype(np.float64)[..., :2].mean(axis=1)
+        cells = np.floor(middle / cell_m).astype(np.int64)
+        code = (cells[:, 0] * 100_003 + cells[:, 1]) * 4 + kind
+    order = np.argsort(code, kind="stable")
+    return order, code[order], kind[order]
+
+
+def _pieces(mesh: Mesh, cell_m: float, first_index: int) -> _Pieces:
+    """A mesh cut into ground squares and kinds, in the order of `_order`."""
+    order, code, kind = _order(mesh, cell_m)
+    starts = np.flatnonzero(np.diff(code, prepend=code[:1] - 1))
+    ends = np.append(starts[1:], len(order)) if len(starts) else starts
+    corners = mesh.positions_m[mesh.triangles[order]].astype(np.float64)
+    boxes = [_bounds(corners[start:end].reshape(-1, 3)) for start, end in zip(starts, ends, strict=True)]
+    return _Pieces(
+        first_index + 3 * starts.astype(np.int64),
+        3 * (ends - starts).astype(np.int64),
+        kind[starts],
+        np.array([middle for middle, _ in boxes]).reshape(-1, 3),
+        np.array([half for _, half in boxes]).reshape(-1, 3),
+    )
+
+
+def _program(context: Any, vertex: str, common: str, fragment: str, **switches: int) -> Any:
+    """A GL program of files in `shaders/`, headed by the constants of `light`."""
+    folder = resources.files("unidrive_cli.synth") / "shaders"
+    lines = ["#version 330", f"#define LAYER_COUNT {len(LAYERS)}", "#define FRONT_IS_OUTSIDE false"]
+    lines += [f"#define {name} {value}" for name, value in switches.items()]
+    for name, value in light.constants().items():
+        lines.append(f"#define {name} {int(value) if name.endswith('_LAYER') else value!r}")
+    head = "\n".join(lines) + "\n"
+    text = {
+        name: (folder / f"{name}.glsl").read_text(encoding="utf-8") for name in (vertex, common, fragment) if name
+    }
+    return context.program(
+        vertex_shader=head + text[vertex], fragment_shader=head + text.get(common, "") + text[fragment]
+    )

@@ -1,0 +1,71 @@
+"""The moment of a sample: whose time and pose the virtual pictures take, and where its cameras stood then."""
+
+from __future__ import annotations
+
+from unidrive_cli.errors import DatasetError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.lenses import Lens
+from unidrive_cli.geometry.poses import inverse, relative
+from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
+from unidrive_cli.tables.rig_of_dataset import lens_and_pose
+from unidrive_cli.tables.schema import Sample, SampleData
+
+
+def reference_of(dataset: Dataset, sample: Sample) -> SampleData:
+    """The row whose time and pose the virtual pictures take: LIDAR_TOP, another lidar, or the nearest camera.
+
+    Raises:
+        DatasetError: the sample has neither.
+    """
+    rows = dataset.keyframes.get(sample.token, [])
+    sensors = {row.token: dataset.sensor_of(row) for row in rows}
+    ranks = {"lidar": 1, "camera": 2}
+    candidates = [row for row in rows if sensors[row.token].modality in ranks]
+    if not candidates:
+        raise DatasetError(
+            "the sample has no key frame of a lidar or a camera, so it has no pose.",
+            where=dataset.sample.place(sample, "token"),
+        )
+
+    def rank(row: SampleData) -> tuple[int, float, str]:
+        sensor = sensors[row.token]
+        top = sensor.channel == LIDAR_REFERENCE
+        return (0 if top else ranks[sensor.modality], abs(row.timestamp - sample.timestamp), sensor.channel)
+
+    return min(candidates, key=rank)
+
+
+def cameras_of(dataset: Dataset, sample: Sample, reference: SampleData) -> dict[str, SampleData]:
+    """The camera rows of a sample by channel; of several of one channel the one nearest in time to the reference."""
+    chosen: dict[str, SampleData] = {}
+    for row in dataset.keyframes.get(sample.token, []):
+        sensor = dataset.sensor_of(row)
+        if sensor.modality != "camera":
+            continue
+        other = chosen.get(sensor.channel)
+        if other is None or abs(row.timestamp - reference.timestamp) < abs(other.timestamp - reference.timestamp):
+            chosen[sensor.channel] = row
+    return {channel: chosen[channel] for channel in sorted(chosen)}
+
+
+def lens_and_cam_from_ego(
+    dataset: Dataset, row: SampleData, size_px: tuple[int, int], global_from_ego: Float, *, ego_motion: bool
+) -> tuple[Lens, Float]:
+    """Lens of the camera that took a picture, and where it stood, seen from the car at another moment.
+
+    Args:
+        size_px: (width, height) of the picture.
+        global_from_ego: (4, 4) pose of the car at the moment of the virtual pictures.
+        ego_motion: whether the car's motion between the two moments counts.
+
+    Returns:
+        The lens, and `cam_from_ego` (4, 4) from the ego frame of that moment into the camera.
+
+    Raises:
+        DatasetError: dangling tokens, or numbers that are no camera or no pose.
+    """
+    lens, ego_from_cam = lens_and_pose(dataset, row, size_px)
+    cam_from_ego = inverse(ego_from_cam)
+    if ego_motion:
+        cam_from_ego = cam_from_ego @ relative(dataset.global_from_ego(row), global_from_ego)
+    return lens, cam_from_ego

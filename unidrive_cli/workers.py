@@ -1,0 +1,56 @@
+"""Worker processes that end with the command: killed by Ctrl-C without tracebacks, and said if they die."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import resource_tracker
+from typing import TypeVar
+
+from unidrive_cli.errors import UnidriveError
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
+
+
+def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int) -> Iterator[Outcome]:
+    """The outcomes of `work` on all items, in the order in which they are done.
+
+    Args:
+        jobs: worker processes, at least 1.
+
+    Raises:
+        UnidriveError: a worker was killed.
+    """
+    import joblib
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.backend import resource_tracker as loky_tracker
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+    try:
+        resource_tracker.ensure_running()  # the start of either would let interrupts through again
+        loky_tracker.ensure_running()
+        with _interrupts_held():
+            outcomes = parallel(joblib.delayed(work)(item) for item in items)
+        yield from outcomes
+    except KeyboardInterrupt:
+        get_reusable_executor().shutdown(wait=False, kill_workers=True)
+        raise
+    except BrokenProcessPool as error:
+        raise UnidriveError(
+            "a worker process was killed, most likely because memory ran out.",
+            hint="The same command continues; try fewer --jobs.",
+        ) from error
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits; processes started meanwhile never see it: this one ends them, without their tracebacks."""
+    interrupts = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, interrupts)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts)
