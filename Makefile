@@ -29,9 +29,9 @@ convert: install      ## make convert SRC=dataset DST=output RIG=roof-6x70
 	@test -n "$(SRC)" -a -n "$(DST)" -a -n "$(RIG)" || { echo 'usage: make convert SRC=dataset DST=output RIG=roof-6x70'; exit 2; }
 	$(BIN)/unidrive convert "$(SRC)" "$(DST)" --rig "$(RIG)"
 
-demo: install         ## paint a small drive, convert it, say where to look
+demo: install         ## render a small drive, convert it, say where to look
 	rm -rf $(DEMO)/source $(DEMO)/converted
-	$(BIN)/python -m tests.painted $(DEMO)/source --scenes 1 --samples 2
+	$(BIN)/unidrive synth $(DEMO)/source --rig 5x70+110 --scenes 2 --keyframes 2
 	$(BIN)/unidrive convert $(DEMO)/source $(DEMO)/converted --rig roof-6x70
 	$(BIN)/python -m tests.contact_sheet $(DEMO)/source $(DEMO)/converted $(DEMO)/contact-sheet.jpg
 	@echo

@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("src", type=Path)
     parser.add_argument("dst", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--version", default="v1.0-mini")
+    parser.add_argument("--version", default="v1.0-trainval")
     parser.add_argument("--sample", type=int, default=0)
     parser.add_argument("--width", type=int, default=480)
     parser.add_argument("--no-boxes", action="store_true")

@@ -81,6 +81,7 @@ def synth_command(
             continue
         typer.echo(
             f"{summary.folder}: {plural(summary.scenes, 'scene')}, {plural(summary.samples, 'sample')}, "
-            f"{plural(summary.pictures, 'picture')}, {plural(summary.annotations, 'annotation')}, through {summary.rig}"
+            f"{plural(summary.pictures, 'picture')}, {plural(summary.annotations, 'annotation')}, "
+            f"through {summary.rig}"
         )
-        typer.echo(f"verified: nuscenes-devkit opens it and projected {plural(summary.boxes_projected, 'box')}")
+        typer.echo(f"verified: nuscenes-devkit opens it and projected boxes into {summary.rig}'s pictures")

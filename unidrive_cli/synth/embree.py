@@ -44,7 +44,7 @@ class Bodies:
         """(n, 3) half extents of each body's box, metres."""
 
     def cast(self, index: int, cam_from_actor: Float, directions_cam: Float) -> dict[str, npt.NDArray[Any]]:
-        """What rays (n, 3) from a camera's or lidar's centre meet of one body: embree's answer, -1 in primID: nothing."""
+        """What rays (n, 3) from a sensor's centre meet of one body: embree's answer, with primID -1 for nothing."""
         mesh = self._meshes[index]
         scene = self._scenes.get(id(mesh))
         if scene is None:

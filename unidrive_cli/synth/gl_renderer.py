@@ -120,9 +120,14 @@ def open_context() -> Any:
             f"drawing with GL needs the Python package moderngl ({error}).", hint="Install it: pip install moderngl."
         ) from error
     reasons = []
-    for settings in ({"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}, {"backend": "egl"}, {}):
+    ways: tuple[dict[str, Any], ...] = (
+        {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"},
+        {"backend": "egl"},
+        {},
+    )
+    for settings in ways:
         try:
-            context = moderngl.create_context(standalone=True, require=330, **settings)
+            context: Any = moderngl.create_context(standalone=True, require=330, **settings)
         except Exception as error:  # moderngl and its backends raise bare exceptions of many kinds
             reasons.append(str(error) or type(error).__name__)
         else:
@@ -178,6 +183,10 @@ class GlRenderer:
                 target.linear.viewport = (0, 0, part[2] * grid, part[3] * grid)
                 target.linear.clear()
                 self._context.enable_only(self._context.DEPTH_TEST)
+                target.linear.color_mask = (False,) * 4  # depth first, so that every sample is shaded only once
+                self._draw_surfaces([self._instance], view, part)
+                target.linear.color_mask = (True,) * 4
+                self._context.depth_func = "<="
                 self._draw_surfaces(self._surfaces, view, part)
                 self._draw_sky(view, part)
                 self._encode(target, part, grid)

@@ -63,7 +63,7 @@ LOD_BIAS = -0.25
 
 def constants() -> dict[str, float]:
     """The numbers that the shaders share, by name."""
-    return {name: float(value) for name, value in globals().items() if name.isupper() and np.isscalar(value)}
+    return {name: float(value) for name, value in globals().items() if name.isupper() and isinstance(value, int | float)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,9 @@ class Light:
         mean = SKY_SHARE * zenith + (1 - SKY_SHARE) * horizon
         bounce = GROUND_ALBEDO * (sun * max(height, 0.0) * 0.7 + mean)
         columns = (to_sun, sun, zenith, horizon, mean, bounce, 0.62 * sun + 0.45 * mean, 0.16 * sun + 0.50 * mean)
-        return cls(*(_column(value) for value in columns), float(day.cloud), float(day.haze_m))
+        names = ("to_sun", "sun", "zenith", "horizon", "sky_mean", "bounce", "cloud_bright", "cloud_dark")
+        colours = dict(zip(names, map(_column, columns), strict=True))
+        return cls(**colours, cloud=float(day.cloud), haze_m=float(day.haze_m))
 
 
 def _column(values: Any) -> Array:

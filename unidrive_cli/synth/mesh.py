@@ -95,12 +95,7 @@ def merged(meshes: Sequence[Mesh]) -> Mesh:
     if not meshes:
         return mesh_of(np.zeros((0, 3)), np.zeros((0, 3)), layer=0)
     starts = np.cumsum([0, *(len(mesh.positions_m) for mesh in meshes[:-1])])
-    return Mesh(
-        *(
-            np.concatenate([getattr(mesh, name) for mesh in meshes])
-            for name in ("positions_m", "normals", "uv", "albedo", "layer", "gloss")
-        ),
-        np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]).astype(
-            np.int32
-        ),
-    )
+    names = ("positions_m", "normals", "uv", "albedo", "layer", "gloss")
+    joined = {name: np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in names}
+    triangles = np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)])
+    return Mesh(**joined, triangles=triangles.astype(np.int32))

@@ -154,7 +154,7 @@ class RayRenderer:
         height = np.maximum(towards[2], light.CLOUD_LOW) * length
         # The plane of the clouds is seen along the ray at 1 / height of its depth: the area of a footprint there.
         area = (footprint * light.CLOUD_SCALE * self._tiles.side) ** 2 / (view.lens.fx_px * view.lens.fy_px)
-        level = light.level_of_detail(area / height**3, np.float32([1]))
+        level = light.level_of_detail(area / height**3, np.ones(1, dtype=np.float32))
         root = self._tiles.look(place, np.full(len(height), light.CLOUD_LAYER), level)[1]
         return light.sky(self._light, towards, root * root)
 

@@ -276,8 +276,8 @@ def scene_names(options: SynthOptions) -> dict[str, list[str]]:
     held_out = min(held_out, len(names[val]))
     if options.scenes - held_out > len(names[train]):
         raise UsageError(
-            f"{options.version} has names for {len(names[train])} training and {len(names[val])} validation scenes, "
-            f"but --scenes {options.scenes} with --val-share {options.val_share:g} wants {options.scenes - held_out} "
+            f"{options.version} has names for {len(names[train])} training and {len(names[val])} validation "
+            f"scenes, but --scenes {options.scenes} with --val-share {options.val_share:g} wants {options.scenes - held_out} "
             f"and {held_out}.",
             hint="Use --version v1.0-trainval, fewer scenes, or another --val-share.",
         )

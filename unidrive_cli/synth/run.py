@@ -9,7 +9,7 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,11 @@ from unidrive_cli import __version__
 from unidrive_cli.errors import CheckError, OutputError, RigError, UnidriveError
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.synth.options import RendererChoice, SynthOptions
-from unidrive_cli.synth.records import INSTANCE_IDS, SPLITS, SceneTables, fixed_tables, scene_names, scene_tables
+from unidrive_cli.synth.records import INSTANCE_IDS, SPLITS, fixed_tables, scene_names, scene_tables
 from unidrive_cli.synth.renderers import renderer_name
 from unidrive_cli.synth.scene import inside_ego_car
 from unidrive_cli.synth.units import Batch, Receipt, Target, read_receipt, run_batch
-from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.destination import (
     RUN,
     Destination,
@@ -95,7 +95,6 @@ class SynthSummary:
     samples: int
     pictures: int
     annotations: int
-    boxes_projected: int
     already_complete: bool
 
 
@@ -235,13 +234,13 @@ def _finalise(plan: SynthPlan, target: Target, seconds: float) -> SynthSummary:
             )
         (staged / f"{SPLITS}.json").write_bytes(json.dumps(splits, indent=1).encode() + b"\n")
         annotations = sum(scene.annotations for scene in scenes)
+        samples = options.scenes * options.keyframes
         with as_finished(destination, staged, options.version) as root:
-            boxes = _verify(root, plan, scenes, annotations)
+            dataset = _verify(root, plan, samples, annotations)
         final = destination.root / options.version
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
-        samples = options.scenes * options.keyframes
-        pictures = sum(len(scene.rows["sample_data"]) for scene in scenes)
+        pictures = sum(row.fileformat == "jpg" for row in dataset.sample_data.rows)
         summary = SynthSummary(
             rig.name,
             str(destination.root),
@@ -250,7 +249,6 @@ def _finalise(plan: SynthPlan, target: Target, seconds: float) -> SynthSummary:
             samples,
             pictures,
             annotations,
-            boxes,
             False,
         )
         destination.write(PROVENANCE, _provenance(plan, rig, summary))
@@ -286,7 +284,7 @@ def _receipts(plan: SynthPlan, target: Target, scene: int) -> list[Receipt]:
     return receipts
 
 
-def _verify(root: Path, plan: SynthPlan, scenes: Sequence[SceneTables], annotations: int) -> int:
+def _verify(root: Path, plan: SynthPlan, samples: int, annotations: int) -> Dataset:
     """Reads the tables again, looks for every file, and lets nuscenes-devkit open the dataset.
 
     Raises:
@@ -300,16 +298,16 @@ def _verify(root: Path, plan: SynthPlan, scenes: Sequence[SceneTables], annotati
                 raise CheckError(f"{row.filename} was written and is not there.")
     except UnidriveError as error:
         raise CheckError(f"the drive that was written is broken: {error}") from error
-    if len(dataset.sample.rows) != sum(len(scene.rows["sample"]) for scene in scenes):
-        raise CheckError("the drive that was written lacks samples.")
-    return check_devkit(root, plan.options.version, annotations)
+    if len(dataset.sample.rows) != samples:
+        raise CheckError(f"the drive that was written has {len(dataset.sample.rows)} samples, not {samples}.")
+    check_devkit(root, plan.options.version, annotations)
+    return dataset
 
 
 def _provenance(plan: SynthPlan, rig: Rig, summary: SynthSummary) -> bytes:
     identity = plan.identity(rig)
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
-    counts = asdict(summary)
-    counts = {name: counts[name] for name in ("scenes", "samples", "pictures", "annotations", "boxes_projected")}
+    counts = {name: getattr(summary, name) for name in ("scenes", "samples", "pictures", "annotations")}
     return _json(
         {"schema_version": 1, "unidrive": __version__, "plan": identity, "plan_digest": digest, "counts": counts}
     )

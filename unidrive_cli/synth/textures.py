@@ -66,7 +66,8 @@ def make_textures(seed: int) -> npt.NDArray[np.uint8]:
         ),
     }
     tiles = np.stack([makers[name](rng) for name in LAYERS])
-    return np.rint(255 * np.sqrt(np.clip(tiles, 0, 1))).astype(np.uint8)
+    textures: npt.NDArray[np.uint8] = np.rint(255 * np.sqrt(np.clip(tiles, 0, 1))).astype(np.uint8)
+    return textures
 
 
 def noise(rng: np.random.Generator, cells: Sequence[int], falloff: float) -> Float:

@@ -392,7 +392,7 @@ def _box(centre_m: Any, size_m: Any, albedo: Any) -> Mesh:
 
 def _plate(albedo: Any) -> Mesh:
     shape = trimesh.creation.cylinder(radius=0.32, height=0.03, sections=24)
-    shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
+    shape.apply_transform([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
     shape.apply_translation([0.06, 0, 2.45])
     return _solid(shape, "plain", albedo)
 

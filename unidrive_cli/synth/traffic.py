@@ -407,7 +407,7 @@ def _crossers(crowd: _Crowd) -> Iterator[Actor]:
         line = street.from_junction(junction)
         at = float(rng.uniform(CROSSING_M[0] + 0.5, CROSSING_M[1] - 0.5))
         ends = np.array([line.beside(side * (HALF_ROAD_M - 0.4)).at(np.array(at)) for side in (1, -1)])
-        way = Line(np.linspace(*(ends if rng.random() < 0.5 else ends[::-1]), 30))
+        way = Line(ends if rng.random() < 0.5 else ends[::-1])
         speed = float(rng.uniform(0.9, 1.6))
         walk = speed * (crowd.times_s - rng.uniform(-8, max(1.0, crowd.times_s[-1])))
         if walk.max() <= way.length_m + speed * 3:

@@ -399,7 +399,7 @@ def _motorcycle_body(look: str, rear: float, front: float, colour: Float, r: flo
         shell += [(rear + 0.75, 0.50, 0.20, 0.22), (rear + 0.55, 0.40, 0.15, 0.12)]
         parts.append(
             painted(
-                tube([(x, 0, z) for x, z, _, _ in shell], [(w, d) for _, _, w, d in shell], 10, tip=0.2),
+                tube([(x, 0, z) for x, z, _, _ in shell], [(w, d) for _, _, w, d in shell], 9, tip=0.2),
                 colour,
                 gloss=0.14,
                 crease_deg=60,
@@ -412,7 +412,7 @@ def _motorcycle_body(look: str, rear: float, front: float, colour: Float, r: flo
         ]
         parts.append(
             painted(
-                tube([(x, 0, z) for x, z, _, _ in screen], [(w, d) for _, _, w, d in screen], 8, tip=0.2),
+                tube([(x, 0, z) for x, z, _, _ in screen], [(w, d) for _, _, w, d in screen], 6, tip=0.2),
                 GLASS,
                 gloss=0.4,
                 crease_deg=60,

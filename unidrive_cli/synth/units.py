@@ -32,7 +32,8 @@ from unidrive_cli.synth.renderers import open_renderer
 from unidrive_cli.synth.scene import SHOWN_WITHIN_M, Scene, make_scene
 from unidrive_cli.synth.stage import Depth
 from unidrive_cli.synth.visibility import Silhouettes
-from unidrive_cli.tables.destination import RECEIPTS, WORK, Destination
+from unidrive_cli.tables.converted import WORK
+from unidrive_cli.tables.destination import RECEIPTS, Destination
 from unidrive_cli.tables.instances import instance_name
 from unidrive_cli.warp.pictures import encode_jpeg, encode_mask
 

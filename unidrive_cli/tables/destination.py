@@ -307,7 +307,7 @@ def _held_identity(destination: Destination) -> dict[str, Any] | None:
 def _difference(held: dict[str, Any], wanted: dict[str, Any]) -> str:
     differences = []
     for group, new in wanted.items():
-        old = held.get(group)
+        old = held.get(group) or {}
         for name in new if isinstance(new, dict) and isinstance(old, dict) else ():
             if old.get(name) != new[name]:
                 if name == "digest":
