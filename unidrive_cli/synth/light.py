@@ -63,7 +63,8 @@ LOD_BIAS = -0.25
 
 def constants() -> dict[str, float]:
     """The numbers that the shaders share, by name."""
-    return {name: float(value) for name, value in globals().items() if name.isupper() and isinstance(value, int | float)}
+    numbers = {name: value for name, value in globals().items() if isinstance(value, int | float)}
+    return {name: float(value) for name, value in numbers.items() if name.isupper()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from unidrive_cli.errors import UsageError
+from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.synth.firing import ego_from_lidar
@@ -136,9 +137,12 @@ def scene_tables(options: SynthOptions, rig: Rig, scene: int, name: str, receipt
     return SceneTables(rows, annotations)
 
 
-def calibration_of(lens: Any) -> dict[str, Any]:
-    """What a calibrated_sensor row says of a lens."""
-    return {"camera_intrinsic": lens.matrix.tolist()}
+def calibration_of(lens: Lens) -> dict[str, Any]:
+    """What a calibrated_sensor row says of a lens; a distorted one in the fields that T4 uses, and its model."""
+    calibration: dict[str, Any] = {"camera_intrinsic": lens.matrix.tolist()}
+    if lens.coefficients:
+        calibration |= {"camera_distortion": list(lens.coefficients), "camera_model": lens.model}
+    return calibration
 
 
 def _sensor_rows(
@@ -277,8 +281,8 @@ def scene_names(options: SynthOptions) -> dict[str, list[str]]:
     if options.scenes - held_out > len(names[train]):
         raise UsageError(
             f"{options.version} has names for {len(names[train])} training and {len(names[val])} validation "
-            f"scenes, but --scenes {options.scenes} with --val-share {options.val_share:g} wants {options.scenes - held_out} "
-            f"and {held_out}.",
+            f"scenes, but --scenes {options.scenes} with --val-share {options.val_share:g} wants "
+            f"{options.scenes - held_out} and {held_out}.",
             hint="Use --version v1.0-trainval, fewer scenes, or another --val-share.",
         )
     return {train: names[train][: options.scenes - held_out], val: names[val][:held_out]}
