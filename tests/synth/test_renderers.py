@@ -17,7 +17,7 @@ from unidrive_cli.synth import gl_renderer, light
 from unidrive_cli.synth.gl_renderer import GlRenderer, gl_missing
 from unidrive_cli.synth.mesh import Mesh, merged, mesh_of
 from unidrive_cli.synth.ray_renderer import RayRenderer
-from unidrive_cli.synth.renderers import open_renderer
+from unidrive_cli.synth.renderers import open_renderer, renderer_name
 from unidrive_cli.synth.stage import FIRST_ACTOR_ID, GROUND_ID, SKY_ID, STRUCTURE_ID, Day, Renderer, Stage, View
 from unidrive_cli.synth.textures import LAYERS, SIDE_PX, layer, make_textures
 
@@ -403,8 +403,11 @@ def test_auto_takes_gl_where_it_is(street: tuple[Stage, View]) -> None:
     renderer = open_renderer(street[0])
     assert renderer.name.startswith("GL (")
     assert len(renderer.name) > 5
+    assert renderer_name("auto") == renderer_name("gl") == ("gl", renderer.name)
     renderer.close()
-    assert open_renderer(street[0], "rays").name.startswith("embree")
+    caster = open_renderer(street[0], "rays")
+    assert caster.name.startswith("embree")
+    assert renderer_name("rays") == ("rays", caster.name)
 
 
 def test_without_gl_auto_casts_rays_and_gl_says_what_to_install(
@@ -417,6 +420,9 @@ def test_without_gl_auto_casts_rays_and_gl_says_what_to_install(
 
     monkeypatch.setattr(moderngl, "create_context", no_library)
     assert isinstance(open_renderer(street[0]), RayRenderer)
+    assert renderer_name("auto")[0] == "rays"
+    with pytest.raises(UsageError, match="apt install"):
+        renderer_name("gl")
     with pytest.raises(UsageError, match=r"libEGL.so.1 not loaded.*apt install libegl1 libgl1-mesa-dri"):
         open_renderer(street[0], "gl")
     missing = gl_missing()

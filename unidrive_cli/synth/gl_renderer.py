@@ -144,7 +144,7 @@ def gl_name(context: Any) -> str:
 
 
 class GlRenderer:
-    """Draws one stage with GL: multisampling, shadow maps, everything else as `light` says."""
+    """Draws one stage with GL: a grid of samples per pixel, shadow maps, everything else as `light` says."""
 
     def __init__(self, stage: Stage) -> None:
         """
@@ -264,12 +264,11 @@ class GlRenderer:
 
     def _drawing(self, program: Any, content: tuple[Any, ...]) -> _Drawing:
         buffer, layout, *names = content
-        kept = [name if name in program else f"{name}/" for name in names]
         fields = [
             field if name in program else f"{4 * int(field[0])}x"
             for name, field in zip(names, layout.split(), strict=True)
         ]
-        used = [name for name in kept if not name.endswith("/")]
+        used = [name for name in names if name in program]
         return _Drawing(
             program, self._context.vertex_array(program, [(buffer, " ".join(fields), *used)], self._indices)
         )

@@ -119,9 +119,8 @@ class RayRenderer:
         for scene, moving in ((self._still_scene, False), (self._actors.scene, True)):
             if scene is None:
                 continue
-            found = scene.run(
-                rays.origins, rays.directions, dists=hits.depth_m.copy(), output=True
-            )  # it writes there
+            limits = hits.depth_m.copy()  # embree writes there
+            found = scene.run(rays.origins, rays.directions, dists=limits, output=True)
             hits = hits.nearer(found, moving)
         return hits
 
@@ -200,6 +199,10 @@ class RayRenderer:
         """The surfaces that rays met, one per ray."""
         if not moving.any():
             return self._still.taken(triangle)
+        if moving.all():
+            return self._actors.surfaces.taken(triangle)
+        if moving.all():
+            return self._actors.surfaces.taken(triangle)
         where = np.flatnonzero(moving)
         gathered = self._still.taken(np.where(moving, 0, triangle))
         gathered.put(where, self._actors.surfaces.taken(triangle[where]))
@@ -317,15 +320,6 @@ class _Surfaces:
         for name in ("values", "own_normals", "density", "layer", "gloss"):
             getattr(self, name)[index] = getattr(other, name)
 
-    def turned(self, rotations: Array) -> _Surfaces:
-        """The same with normals turned by matrices (n, 3, 3)."""
-        values = self.values.copy()
-        for start in (0, _COLUMNS, 2 * _COLUMNS):
-            values[:, start : start + 3] = np.einsum("nij,nj->ni", rotations, values[:, start : start + 3])
-        return _Surfaces(
-            values, np.einsum("nij,nj->ni", rotations, self.own_normals), self.density, self.layer, self.gloss
-        )
-
 
 class _Crowd:
     """The actors, moved into place for one view at a time.
@@ -338,7 +332,6 @@ class _Crowd:
 
     def __init__(self, actors: tuple[Mesh, ...]) -> None:
         self._actors = actors
-        self._surfaces = [_Surfaces.of(mesh) for mesh in actors]
         self._key: tuple[bytes, bytes] | None = None
         self.scene: Any = None
         self.surfaces = _Surfaces.of(merged([]))

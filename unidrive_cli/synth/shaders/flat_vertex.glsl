@@ -6,6 +6,8 @@ uniform vec3 axis;
 in vec3 position;
 out float depth_m;
 
+invariant gl_Position;  // the depth pass and the shading pass must agree to the last bit
+
 void main() {
     vec3 q = (turn * position + offset_high) + offset_low;
     depth_m = dot(axis, q);

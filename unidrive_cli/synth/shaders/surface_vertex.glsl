@@ -19,6 +19,8 @@ out vec3 albedo;
 flat out float layer;
 flat out float gloss;
 
+invariant gl_Position;  // the depth pass and the shading pass must agree to the last bit
+
 void main() {
     q = (turn * position + offset_high) + offset_low;
     normal = turn * normal_mesh;
