@@ -36,10 +36,14 @@ def test_the_readme_names_every_shipped_rig() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_options_that_are_named_exist(page: Path) -> None:
     commands = [str(command.name) for command in app.registered_commands]
-    assert {"convert", "inspect-rig", "measure"} <= set(commands)
+    assert {"convert", "inspect-rig", "measure", "synth"} <= set(commands)
     helps = "".join(CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "300"}).output for name in commands)
     helps = re.sub(r"\x1b\[[0-9;]*m", "", helps)
-    pages_own = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "benchmarks" / "convert_vs_codec.py").read_text()))
+    pages_own = {
+        name
+        for file in (ROOT / "benchmarks").glob("*.py")
+        for name in re.findall(r"--[a-z][a-z-]+", file.read_text())
+    }
     for option in set(re.findall(r"--[a-z][a-z-]+", page.read_text())) - pages_own:
         assert option in helps, option
 

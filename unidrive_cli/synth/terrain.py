@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -14,7 +13,8 @@ from unidrive_cli.synth.mesh import Mesh
 
 _WAVES = ((61.0, 0.4, 0.9, 0.6), (83.0, 2.0, 2.6, 0.4))
 """Wavelength m, direction rad, phase rad, share of the slope."""
-_CELL_M = 6.0
+CELL_M = 6.0
+"""Longest side of a piece of ground that follows the hills."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +71,28 @@ class Terrain:
         positions[:, 2] += self.height_m(places).astype(np.float32)
         return replace(mesh, positions_m=positions)
 
-    def cells(self, polygons: Iterable[shapely.Polygon]) -> Iterator[shapely.Polygon]:
+    def cells(self, polygons: Iterable[shapely.Polygon], cell_m: float = CELL_M) -> Iterator[shapely.Polygon]:
         """The polygons; cut into cells of a few metres where the land is not flat."""
         for polygon in polygons:
-            if not self.slope:
-                yield polygon
-                continue
-            low_x, low_y, high_x, high_y = polygon.bounds
-            corners = itertools.product(np.arange(low_x, high_x, _CELL_M), np.arange(low_y, high_y, _CELL_M))
-            boxes = shapely.box(*np.array([(x, y, x + _CELL_M, y + _CELL_M) for x, y in corners]).T)
-            for piece in shapely.get_parts(shapely.intersection(polygon, boxes)):
-                if isinstance(piece, shapely.Polygon) and piece.area > 1e-6:
-                    yield piece
+            yield from _halved(polygon, cell_m) if self.slope else [polygon]
+
+
+def _halved(polygon: shapely.Polygon, cell_m: float) -> Iterator[shapely.Polygon]:
+    """Pieces of a polygon that are at most `cell_m` long, cut at multiples of it."""
+    low_x, low_y, high_x, high_y = polygon.bounds
+    across = high_x - low_x >= high_y - low_y
+    low, high = (low_x, high_x) if across else (low_y, high_y)
+    first, last = int(np.floor(low / cell_m + 1e-6)), int(np.ceil(high / cell_m - 1e-6))
+    if last - first <= 1:
+        yield polygon
+        return
+    cut = (first + last) // 2 * cell_m
+    halves = (
+        ((low_x, low_y, cut, high_y), (cut, low_y, high_x, high_y))
+        if across
+        else ((low_x, low_y, high_x, cut), (low_x, cut, high_x, high_y))
+    )
+    for half in halves:
+        for piece in shapely.get_parts(shapely.clip_by_rect(polygon, *half)):
+            if isinstance(piece, shapely.Polygon) and piece.area > 1e-6:
+                yield from _halved(piece, cell_m)

@@ -14,7 +14,7 @@ import trimesh
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.synth.mesh import Mesh, merged, mesh_of
 from unidrive_cli.synth.streets import HALF_ROAD_M, JUNCTION_M, LANE_M, PAVEMENT_M, Line, StreetPlan
-from unidrive_cli.synth.terrain import Terrain
+from unidrive_cli.synth.terrain import CELL_M, Terrain
 from unidrive_cli.synth.textures import layer
 
 KERB_M = 0.12
@@ -87,7 +87,8 @@ def make_town(rng: np.random.Generator, plan: StreetPlan, terrain: Terrain, near
     furniture, obstacles = _furniture(rng, plan, road, near, props)
     gardens, trees = _gardens(rng, blocks, buildings, near, props)
     ground = [
-        _flat(outside.buffer(400) - paved.buffer(-0.5), KERB_M, "grass", terrain, tile_m=6.0),
+        _flat(outside.buffer(400) - outside, KERB_M, "grass", terrain, tile_m=6.0, cell_m=60.0),
+        _flat(outside - paved.buffer(-0.5), KERB_M, "grass", terrain, tile_m=6.0),
         _flat(paved - road.buffer(0.3), KERB_M, "paving", terrain, tile_m=3.0),
         _flat(road.buffer(0.3) - road, KERB_M, "concrete", terrain, tile_m=4.0, albedo=(1.15, 1.13, 1.1)),
         _kerbs(road),
@@ -123,11 +124,18 @@ def _triangulated(polygon: shapely.Polygon) -> tuple[Float, Any]:
 
 
 def _flat(
-    area: Any, z_m: float, texture: str, terrain: Terrain, *, tile_m: float, albedo: Any = (1.0, 1.0, 1.0)
+    area: Any,
+    z_m: float,
+    texture: str,
+    terrain: Terrain,
+    *,
+    tile_m: float,
+    albedo: Any = (1.0, 1.0, 1.0),
+    cell_m: float = CELL_M,
 ) -> Mesh:
     """A level area with a texture that repeats every `tile_m` metres; in cells where the terrain is not flat."""
     meshes = []
-    for polygon in terrain.cells(_polygons(shapely.simplify(area, 0.02))):
+    for polygon in terrain.cells(_polygons(shapely.simplify(area, 0.02)), cell_m):
         points, triangles = _triangulated(polygon)
         height = np.full((len(points), 1), z_m)
         up = np.broadcast_to([0.0, 0.0, 1.0], (len(points), 3))
