@@ -26,11 +26,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from unidrive_cli.tables.destination import Destination
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.convert.units import Frame, Job, run_unit
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.tables.destination import Destination
 from unidrive_cli.tables.rig_of_dataset import resolve_rig
 from unidrive_cli.warp.remap import Source
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from unidrive_cli.tables.destination import Destination
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.units import Job, receipt_name, renderer_of
 from unidrive_cli.errors import OutputError
 from unidrive_cli.rig.gallery import load_gallery_rig
+from unidrive_cli.tables.destination import Destination
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from unidrive_cli.tables.destination import Destination, abandon, begin, check_destination, held
 from unidrive_cli.errors import OutputError
 from unidrive_cli.tables.converted import PROVENANCE
+from unidrive_cli.tables.destination import Destination, abandon, begin, check_destination, held
 
 PLAN = {"options": {"quality": 95}, "rig": {"name": "a"}, "source": {"digest": "b"}}
 
