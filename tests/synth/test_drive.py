@@ -19,12 +19,15 @@ from nuscenes.utils.splits import create_splits_scenes
 from tests.datasets import unidrive
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
+from unidrive_cli.geometry import poses
 from unidrive_cli.geometry.lenses import Pinhole
-from unidrive_cli.geometry.poses import inverse, transform
+from unidrive_cli.geometry.poses import inverse, rotation_from_yaw_pitch_roll, transform
 from unidrive_cli.rig.yaml_file import load_rig, parse_rig
 from unidrive_cli.synth.options import SynthOptions
+from unidrive_cli.synth.renderers import gl_missing, open_renderer
 from unidrive_cli.synth.run import make_synth_plan, synthesise
 from unidrive_cli.synth.scene import Scene, make_scene
+from unidrive_cli.synth.stage import View
 from unidrive_cli.synth.traffic import EGO_CENTRE_M, EGO_LENGTH_M, EGO_WIDTH_M, overlap
 from unidrive_cli.tables.dataset import open_dataset
 
@@ -384,3 +387,48 @@ def test_missing_gl_is_said(tmp_path: Path, rigs: dict[str, Path], monkeypatch: 
     run = CliRunner().invoke(app, ["synth", str(tmp_path / "out"), "--rig", str(rigs["narrow"]), "--renderer", "gl"])
     assert run.exit_code == 2
     assert "libegl1" in run.output
+
+
+def test_both_renderers_draw_the_same_street(scene: Scene) -> None:
+    if gl_missing():
+        pytest.skip(f"no GL here: {gl_missing()}")
+    lens = Pinhole(520.0, 515.0, 395.5, 221.0, 800, 450)
+    time_us = scene.start_us
+    actors = scene.global_from_actors(time_us)
+    shown = np.linalg.norm(actors[:, :2, 3] - scene.global_from_ego(time_us)[:2, 3], axis=1) < 130
+    level = poses.pose(rotation_from_yaw_pitch_roll(20.0, -3.0, 0.0), [1.2, 0.0, 1.6])
+    view = View(lens, scene.global_from_ego(time_us) @ level, actors, shown)
+    drawn = []
+    for which in ("gl", "rays"):
+        renderer = open_renderer(scene.stage, which)
+        drawn.append((renderer.picture(view, 4).astype(float), *renderer.instances(view)))
+        renderer.close()
+    (first, ids, depths), (second, other_ids, other_depths) = drawn
+    assert 10 * np.log10(255**2 / np.mean((first - second) ** 2)) >= 30
+    compared = 0
+    for value in np.unique(ids[ids >= 16]):
+        mine, theirs = ids == value, other_ids == value
+        if mine.sum() > 400:
+            assert (mine & theirs).sum() / (mine | theirs).sum() >= 0.98
+            compared += 1
+    assert compared >= 2
+    same = (ids == other_ids) & np.isfinite(depths) & np.isfinite(other_depths)
+    assert np.percentile(np.abs(depths - other_depths)[same] / depths[same], 99) < 1e-3
+
+
+def test_the_truth_of_a_virtual_view_is_measured(rigs: dict[str, Path], both: Path, tmp_path: Path) -> None:
+    """The wide rig's pictures through the narrow rig, against the narrow rig's own."""
+    late = unidrive("measure", both / "wide", "--rig", rigs["narrow"], "--truth", both / "narrow")
+    assert late.code == 3
+    assert "--firing together" in late.stderr  # those pictures were taken one after the other
+    options = ("--keyframes", "1", "--seed", "5", "--jobs", "0", "--instances", "--firing", "together")
+    root = tmp_path / "out"
+    assert unidrive("synth", root, "--rig", rigs["narrow"], "--rig", rigs["wide"], *options).code == 0
+    run = unidrive("measure", root / "wide", "--rig", rigs["narrow"], "--truth", root / "narrow", "--json")
+    assert run.code == 0, run.stderr
+    truth = run.json()["truth"]
+    assert truth["by_camera"]["CAM_FRONT"]["psnr"] is None  # the same camera: the same picture
+    assert truth["by_camera"]["CAM_FRONT"]["ssim"] == pytest.approx(1.0)
+    back = truth["by_camera"]["CAM_BACK"]
+    assert 22 < back["psnr"] < 60  # only the focal length differs: resampling is all that is lost
+    assert back["ground"]["pixels"] > 1000

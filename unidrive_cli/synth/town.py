@@ -87,8 +87,8 @@ def make_town(rng: np.random.Generator, plan: StreetPlan, terrain: Terrain, near
     furniture, obstacles = _furniture(rng, plan, road, near, props)
     gardens, trees = _gardens(rng, blocks, buildings, near, props)
     ground = [
-        _flat(outside.buffer(400) - outside, KERB_M, "grass", terrain, tile_m=6.0, cell_m=60.0),
-        _flat(outside - paved.buffer(-0.5), KERB_M, "grass", terrain, tile_m=6.0),
+        _flat(outside.buffer(400) - outside, KERB_M - 0.01, "grass", terrain, tile_m=6.0, cell_m=60.0),
+        _flat(outside - paved.buffer(-0.5), KERB_M - 0.01, "grass", terrain, tile_m=6.0),
         _flat(paved - road.buffer(0.3), KERB_M, "paving", terrain, tile_m=3.0),
         _flat(road.buffer(0.3) - road, KERB_M, "concrete", terrain, tile_m=4.0, albedo=(1.15, 1.13, 1.1)),
         _kerbs(road),
