@@ -11,8 +11,9 @@ import numpy.typing as npt
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.synth.mesh import Mesh
+from unidrive_cli.tables.instances import FIRST_OBJECT, GROUND, SKY, STRUCTURES
 
-SKY_ID, GROUND_ID, STRUCTURE_ID, FIRST_ACTOR_ID = 0, 1, 2, 16
+SKY_ID, GROUND_ID, STRUCTURE_ID, FIRST_ACTOR_ID = SKY, GROUND, STRUCTURES, FIRST_OBJECT
 """Values of instance pictures; actor i has FIRST_ACTOR_ID + i."""
 
 Instances = npt.NDArray[np.uint16]
