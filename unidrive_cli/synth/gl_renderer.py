@@ -32,10 +32,15 @@ from unidrive_cli.synth.textures import LAYERS
 
 _CELL_M = 24.0
 """Side of the ground squares by which the triangles that do not move are culled."""
-_TILES, _SHADOWS, _STILL, _LINEAR = 0, 1, 2, 3
+_TILES, _SHADOWS, _STILL, _ROOTS = 0, 1, 2, 3
 """Texture units."""
 _SUN_RANGE_M = 2048.0
 """Shadow maps hold what is this near their middle, along the sun's rays."""
+_SHADOW_M = 100.0
+"""Actors throw no shadow farther than this."""
+_WELL_INSIDE = 0.98
+"""Nothing that a surface outside of a cascade can read lies in this share of it: shaders leave it at 0.995, and look
+up to three texels of the next one aside."""
 
 Box = tuple[int, int, int, int]
 """x, y, width, height in texels or pixels."""
@@ -179,15 +184,16 @@ class GlRenderer:
             parts = _parts(lens, max(grid // 2, 1))
             target = self._target(lens, parts[0], grid)
             for part in parts:
-                target.linear.use()
-                target.linear.viewport = (0, 0, part[2] * grid, part[3] * grid)
-                target.linear.clear()
+                target.roots.use()
+                target.roots.viewport = (0, 0, part[2] * grid, part[3] * grid)
+                target.roots.clear()
                 self._context.enable_only(self._context.DEPTH_TEST)
-                target.linear.color_mask = (False,) * 4  # depth first, so that every sample is shaded only once
-                self._draw_surfaces([self._instance], view, part)
-                target.linear.color_mask = (True,) * 4
+                target.roots.color_mask = (False,) * 4  # depth first, so that every sample is shaded only once
+                self._draw_things([self._shadow], view, part)
+                target.roots.color_mask = (True,) * 4
                 self._context.depth_func = "<="
-                self._draw_surfaces(self._surfaces, view, part)
+                self._draw_ground(self._surfaces, view, part)
+                self._draw_things(self._surfaces, view, part)
                 self._draw_sky(view, part)
                 self._encode(target, part, grid)
             pixels = target.bytes.read(viewport=(0, 0, lens.width_px, lens.height_px), components=4)
@@ -203,7 +209,9 @@ class GlRenderer:
             target.clear(SKY_ID, np.inf)
             self._context.enable_only(self._context.DEPTH_TEST)
             self._instance.program["axis"] = tuple(view.global_from_cam[:3, 2])
-            self._draw_surfaces([self._instance], view, (0, 0, lens.width_px, lens.height_px))
+            whole = (0, 0, lens.width_px, lens.height_px)
+            self._draw_ground([self._instance], view, whole)
+            self._draw_things([self._instance], view, whole)
             values = target.read(components=2, dtype="f4")
         both = np.frombuffer(values, dtype=np.float32).reshape(lens.height_px, lens.width_px, 2)
         return both[..., 0].astype(np.uint16), both[..., 1].copy()
@@ -223,7 +231,9 @@ class GlRenderer:
             mesh.triangles[_order(mesh, cell)[0]].ravel() + first
             for mesh, cell, first in zip(meshes, cells, vertices[:-1], strict=True)
         ]
-        self._boxes = [_bounds(mesh.positions_m) for mesh in stage.actors]
+        boxes = [_bounds(mesh.positions_m) for mesh in stage.actors]
+        self._box_middle = np.array([middle for middle, _ in boxes]).reshape(-1, 3)
+        self._box_half = np.array([half for _, half in boxes]).reshape(-1, 3)
         whole = merged(meshes)
         columns = (
             whole.positions_m,
@@ -301,7 +311,7 @@ class GlRenderer:
         for drawing in self._surfaces:
             drawing.set(shadows=_SHADOWS, sun_axes=tuple(self._sun_axes.T.ravel()))
         self._restore.program["still"] = _STILL
-        self._encoding.program["linear"] = _LINEAR
+        self._encoding.program["roots"] = _ROOTS
         self._centres: list[Float | None] = [None for _ in _CASCADES]
         self._stale: list[list[Box]] = [[] for _ in _CASCADES]
         self._cast: tuple[Any, ...] | None = None
@@ -312,8 +322,8 @@ class GlRenderer:
         """Brings the shadow maps up to date: buildings where the camera has moved on, actors every time."""
         eye = self._sun_axes @ view.global_from_cam[:3, 3]
         centres = [cascade.centre(eye) for cascade in _CASCADES]
-        shown = _shown(view, len(self._stage.actors))
-        key = (np.array(centres).tobytes(), view.global_from_actor[shown].tobytes(), shown.tobytes())
+        casting = self._casting(view)
+        key = (np.array(centres).tobytes(), view.global_from_actor[casting].tobytes(), casting.tobytes())
         if key == self._cast:
             return
         self._cast = key
@@ -326,7 +336,26 @@ class GlRenderer:
                 self._centres[index] = centres[index]
                 self._stale[index] = [square]
             self._renew(self._stale[index])
-            self._stale[index] = self._draw_actor_shadows(cascade, centres[index], view, shown)
+            self._stale[index], done = self._draw_actor_shadows(cascade, centres[index], view, casting)
+            casting = casting[~done]
+
+    def _casting(self, view: View) -> npt.NDArray[np.int64]:
+        """The actors whose shadows may fall into the picture: those whose boxes, drawn out along the sun's rays,
+        reach into it."""
+        lens, eye = view.lens, view.global_from_cam[:3, 3]
+        planes = _sides(lens, (0, 0, lens.width_px, lens.height_px)) @ view.global_from_cam[:3, :3].T
+        shown = _shown(view, len(self._actors))
+        middle, half = self._extents(view, shown, planes)
+        thrown = np.maximum(-_SHADOW_M * planes @ self._sun_axes[2], 0)
+        casts: npt.NDArray[np.int64] = shown[(middle - planes @ eye + half + thrown >= 0).all(axis=1)]
+        return casts
+
+    def _extents(self, view: View, actors: npt.NDArray[np.int64], along: Float) -> tuple[Float, Float]:
+        """Where the boxes of `actors` (a,) lie along directions (k, 3): their middles and half widths, (a, k)."""
+        poses = view.global_from_actor[actors]
+        turned = along @ poses[:, :3, :3]
+        middle = np.einsum("aki,ai->ak", turned, self._box_middle[actors]) + poses[:, :3, 3] @ along.T
+        return middle, np.einsum("aki,ai->ak", np.abs(turned), self._box_half[actors])
 
     def _draw_still_shadows(self, cascade: _Cascade, centre: Float) -> None:
         square = (cascade.x, cascade.y, cascade.side, cascade.side)
@@ -355,29 +384,31 @@ class GlRenderer:
         self._context.depth_func = "<="
 
     def _draw_actor_shadows(
-        self, cascade: _Cascade, centre: Float, view: View, shown: npt.NDArray[np.bool_]
-    ) -> list[Box]:
-        """Draws the actors into the working map; the boxes of texels that it may have changed."""
+        self, cascade: _Cascade, centre: Float, view: View, actors: npt.NDArray[np.int64]
+    ) -> tuple[list[Box], npt.NDArray[np.bool_]]:
+        """Draws actors into the working map.
+
+        Returns:
+            The boxes of texels that it may have changed, and which actors no wider cascade needs.
+        """
         square = (cascade.x, cascade.y, cascade.side, cascade.side)
         self._shaded_map.viewport = square
         self._shaded_map.scissor = square
         self._shadow.program["clip_from_q"] = self._sun_clip(cascade, centre)
-        touched = []
-        for index in np.flatnonzero(shown):
+        middle, reach = self._extents(view, actors, self._sun_axes[:2])
+        middle -= centre
+        low = np.floor((middle - reach + cascade.half_m) / cascade.texel_m).astype(int) - 1
+        high = np.ceil((middle + reach + cascade.half_m) / cascade.texel_m).astype(int) + 1
+        low, high = np.clip(low, 0, cascade.side), np.clip(high, 0, cascade.side)
+        boxes = np.hstack([low + np.array([cascade.x, cascade.y]), high - low])
+        touched = (high > low).all(axis=1)
+        for index in actors[touched]:
             pose = view.global_from_actor[index]
-            turned = self._sun_axes[:2] @ pose[:3, :3]
-            box_middle, box_half = self._boxes[index]
-            middle = turned @ box_middle + self._sun_axes[:2] @ pose[:3, 3] - centre
-            reach = np.abs(turned) @ box_half
-            low = np.floor((middle - reach + cascade.half_m) / cascade.texel_m).astype(int) - 1
-            high = np.ceil((middle + reach + cascade.half_m) / cascade.texel_m).astype(int) + 1
-            low, high = np.clip(low, 0, cascade.side), np.clip(high, 0, cascade.side)
-            if (high > low).all():
-                size = high - low
-                touched.append((cascade.x + int(low[0]), cascade.y + int(low[1]), int(size[0]), int(size[1])))
-                self._shadow.place(pose[:3, :3], pose[:3, 3])
-                self._shadow.draw_all(self._actors[index])
-        return touched
+            self._shadow.place(pose[:3, :3], pose[:3, 3])
+            self._shadow.draw_all(self._actors[index])
+        return [tuple(box) for box in boxes[touched].tolist()], (
+            np.abs(middle) + reach < _WELL_INSIDE * cascade.half_m
+        ).all(axis=1)
 
     def _sun_clip(self, cascade: _Cascade, centre: Float) -> tuple[float, ...]:
         """The projection along the sun's rays, in the order that GL takes."""
@@ -403,37 +434,46 @@ class GlRenderer:
 
     # Pictures
 
-    def _draw_surfaces(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
-        """Draws all that is inside the part `box` of the picture, the nearest first.
-
-        `drawings` are for the kinds of pieces; one alone draws all.
-        """
-        rotation, eye = view.global_from_cam[:3, :3], view.global_from_cam[:3, 3]
-        planes = _sides(view.lens, box) @ rotation.T
+    def _aim(self, drawings: Sequence[_Drawing], view: View, box: Box) -> Float:
+        """Points programs at the part `box` of the picture; the planes (k, 3) through the camera that bound it."""
+        rotation = view.global_from_cam[:3, :3]
         clip = tuple((_clip_from_cam(view.lens, box) @ _padded(rotation.T)).T.ravel())
         for drawing in drawings:
-            drawing.set(clip_from_q=clip, bias=1.0)
-        for index in np.flatnonzero(_shown(view, len(self._actors))).tolist():
+            drawing.set(clip_from_q=clip)
+        return _sides(view.lens, box) @ rotation.T
+
+    def _draw_ground(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
+        """Draws the ground in the part `box`; `drawings` are for the kinds of pieces, one alone draws all."""
+        self._draw_still(drawings, view, self._aim(drawings, view, box), self._ground, GROUND_ID, bias=0.0)
+
+    def _draw_things(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
+        """Draws what stands on the ground, as `_draw_ground` does."""
+        planes = self._aim(drawings, view, box)
+        self._draw_still(drawings, view, planes, self._structures, STRUCTURE_ID, bias=1.0)
+        eye = view.global_from_cam[:3, 3]
+        shown = _shown(view, len(self._actors))
+        middle, half = self._extents(view, shown, planes)
+        for index in shown[(middle - planes @ eye + half >= 0).all(axis=1)].tolist():
             pose = view.global_from_actor[index]
-            offset = pose[:3, 3] - eye
-            middle, half = self._boxes[index]
-            reach = planes @ (pose[:3, :3] @ middle + offset) + np.abs(planes @ pose[:3, :3]) @ half
-            if (reach >= 0).all():
-                pieces = self._actors[index]
-                for piece, kind in enumerate(pieces.kind.tolist()):
-                    drawing = drawings[kind % len(drawings)]
-                    drawing.place(pose[:3, :3], offset)
-                    drawing.set(id=FIRST_ACTOR_ID + index)
-                    drawing.draw(pieces, piece)
+            pieces = self._actors[index]
+            for piece, kind in enumerate(pieces.kind.tolist()):
+                drawing = drawings[kind % len(drawings)]
+                drawing.place(pose[:3, :3], pose[:3, 3] - eye)
+                drawing.set(id=FIRST_ACTOR_ID + index)
+                drawing.draw(pieces, piece)
+
+    def _draw_still(
+        self, drawings: Sequence[_Drawing], view: View, planes: Float, pieces: _Pieces, id_: int, *, bias: float
+    ) -> None:
+        """Draws what does not move, the nearest pieces first."""
+        eye = view.global_from_cam[:3, 3]
         for drawing in drawings:
             drawing.place(np.eye(3), -eye)
-        for pieces, id_ in ((self._structures, STRUCTURE_ID), (self._ground, GROUND_ID)):
-            for drawing in drawings:
-                drawing.set(id=id_, bias=float(pieces is not self._ground))
-            seen = np.flatnonzero(pieces.inside(planes, planes @ eye))
-            away = np.maximum(np.abs(pieces.middle[seen] - eye) - pieces.half[seen], 0)
-            for piece in seen[np.argsort((away * away).sum(axis=1), kind="stable")].tolist():
-                drawings[pieces.kind[piece] % len(drawings)].draw(pieces, piece)
+            drawing.set(id=id_, bias=bias)
+        seen = np.flatnonzero(pieces.inside(planes, planes @ eye))
+        away = np.maximum(np.abs(pieces.middle[seen] - eye) - pieces.half[seen], 0)
+        for piece in seen[np.argsort((away * away).sum(axis=1), kind="stable")].tolist():
+            drawings[pieces.kind[piece] % len(drawings)].draw(pieces, piece)
 
     def _draw_sky(self, view: View, box: Box) -> None:
         lens = view.lens
@@ -452,7 +492,7 @@ class GlRenderer:
         target.bytes.use()
         target.bytes.viewport = part
         self._context.enable_only(self._context.NOTHING)
-        target.texture.use(_LINEAR)
+        target.texture.use(_ROOTS)
         self._encoding.set(start=part[:2], grid=grid)
         self._encoding.vertices.render(self._context.TRIANGLE_STRIP)
 
@@ -460,10 +500,10 @@ class GlRenderer:
         key = (lens.width_px, lens.height_px, grid)
         if key not in self._targets:
             size = (part[2] * grid, part[3] * grid)
-            texture = self._context.texture(size, 4, dtype="f2")
-            linear = self._context.framebuffer(texture, self._context.depth_renderbuffer(size))
+            texture = self._context.texture(size, 4, dtype="f1")
+            roots = self._context.framebuffer(texture, self._context.depth_renderbuffer(size))
             coded = self._context.framebuffer(self._context.renderbuffer(key[:2], 4))
-            self._targets[key] = _Target(linear, texture, coded)
+            self._targets[key] = _Target(roots, texture, coded)
         return self._targets[key]
 
     def _instance_target(self, lens: Pinhole) -> Any:
@@ -502,9 +542,12 @@ class _Drawing:
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """Where a picture is drawn: linear values of all samples in `texture`, then the picture's bytes."""
+    """Where a picture is drawn: square roots of all samples' linear values in `texture`, then its bytes.
 
-    linear: Any
+    Roots, because eight bits hold them well (55 dB against half floats) and llvmpipe writes them much faster.
+    """
+
+    roots: Any
     texture: Any
     bytes: Any
 
@@ -556,8 +599,9 @@ def _padded(rotation: Float) -> Float:
     return matrix
 
 
-def _shown(view: View, count: int) -> npt.NDArray[np.bool_]:
-    return np.ones(count, dtype=np.bool_) if view.shown is None else view.shown
+def _shown(view: View, count: int) -> npt.NDArray[np.int64]:
+    """Which of `count` actors are there."""
+    return np.arange(count) if view.shown is None else np.flatnonzero(view.shown)
 
 
 def _sun_axes(to_sun: Float) -> Float:

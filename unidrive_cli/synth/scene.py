@@ -87,13 +87,24 @@ class Scene:
 
     def global_from_actors(self, timestamp_us: int) -> Float:
         """(n, 4, 4) poses of all actors' boxes."""
-        seconds = self.seconds(timestamp_us)
-        return np.array(
-            [
-                pose_over_ground(actor.track, self.terrain, seconds, actor.model.size_wlh_m[2] / 2)
-                for actor in self.traffic.actors
-            ]
-        ).reshape(-1, 4, 4)
+        poses = self._global_from_resting.copy()
+        for index in self._moving:
+            poses[index] = self._global_from_actor(index, self.seconds(timestamp_us))
+        return poses
+
+    @cached_property
+    def _moving(self) -> tuple[int, ...]:
+        """Numbers of the actors that do not stand for the whole scene."""
+        return tuple(i for i, actor in enumerate(self.traffic.actors) if np.ptp(actor.track.along_m) > 0)
+
+    @cached_property
+    def _global_from_resting(self) -> Float:
+        """(n, 4, 4) poses of all actors' boxes at the start: right at any time for those that never move."""
+        return np.array([self._global_from_actor(i, 0.0) for i in range(len(self.traffic.actors))]).reshape(-1, 4, 4)
+
+    def _global_from_actor(self, index: int, seconds: float) -> Float:
+        actor = self.traffic.actors[index]
+        return pose_over_ground(actor.track, self.terrain, seconds, actor.model.size_wlh_m[2] / 2)
 
     def check_camera(self, where: str, global_from_cam: Float) -> None:
         """Refuses a camera that could see nothing sensible.

@@ -38,13 +38,16 @@ class Silhouettes:
         """
         counts = np.bincount(ids.ravel(), minlength=FIRST_ACTOR_ID + len(shown))[FIRST_ACTOR_ID:]
         self._shown_px += counts[: len(shown)]
-        for index in np.flatnonzero(shown):
-            cam_from_actor = relative(global_from_cam, global_from_actor[index])
-            points = transform(cam_from_actor, _GRID * self._bodies.half_m[index])
-            pixels, inside = lens.project(points)
-            self._in_field[index] |= inside
-            if inside.any() or counts[index]:
-                self._whole_px[index] += self._silhouette_px(index, lens, cam_from_actor, points, pixels)
+        indices = np.flatnonzero(shown)
+        poses = [relative(global_from_cam, global_from_actor[index]) for index in indices]
+        points = np.array(
+            [transform(pose, _GRID * self._bodies.half_m[index]) for pose, index in zip(poses, indices, strict=True)]
+        ).reshape(-1, len(_GRID), 3)
+        pixels, inside = lens.project(points)
+        self._in_field[indices] |= inside
+        for which in np.flatnonzero(inside.any(axis=1) | (counts[indices] > 0)):
+            index = int(indices[which])
+            self._whole_px[index] += self._silhouette_px(index, lens, poses[which], points[which], pixels[which])
 
     def visible(self) -> Float:
         """(n,) share of each actor that the rig shows, 0 to 1.

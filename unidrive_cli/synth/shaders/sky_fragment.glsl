@@ -8,5 +8,5 @@ void main() {
     vec2 across = dFdy(place) * side;
     float level = level_of_detail(abs(along.x * across.y - along.y * across.x), 1.0);
     float density = texel(place, float(CLOUD_LAYER), level).g;
-    result = vec4(exposed(sky(towards, density)), 1.0);
+    result = vec4(sqrt(exposed(sky(towards, density))), 1.0);
 }

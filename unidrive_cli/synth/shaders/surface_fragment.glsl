@@ -52,5 +52,5 @@ void main() {
     bool leaf = index == LEAF_LAYER;
     float direct = sunlight(seen_normal, leaf);
     vec3 seen = shade(base, seen_normal, towards, gloss, direct, lit_by_sun(own_normal));
-    result = vec4(exposed(haze(seen, distance_m)), 1.0);
+    result = vec4(sqrt(exposed(haze(seen, distance_m))), 1.0);
 }
