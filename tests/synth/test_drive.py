@@ -191,6 +191,39 @@ def test_actors_lie_inside_their_projected_boxes(nusc: NuScenes, scene: Scene) -
     assert seen > 12
 
 
+def test_unhidden_actors_reach_as_far_as_their_meshes(nusc: NuScenes, scene: Scene) -> None:
+    """Triangles painted by OpenCV, at five times the size, are the silhouettes that pictures must show."""
+    by_token = {nusc.scene[scene.index]["token"]: scene for scene in (scene, make_scene(DRIVE, 1))}
+    seen = 0
+    for row, pose, lens, ids, _ in pictures(nusc):
+        drawn = by_token[nusc.get("sample", row["sample_token"])["scene_token"]]
+        poses = drawn.global_from_actors(row["timestamp"])
+        for index in np.unique(ids[ids >= 16]).astype(int) - 16:
+            mesh = drawn.stage.actors[index]
+            points = transform(inverse(pose) @ poses[index], mesh.positions_m.astype(np.float64))
+            if points[:, 2].min() < 0.2:
+                continue
+            places = points[:, :2] / points[:, 2:] * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
+            low, high = places.min(axis=0), places.max(axis=0)
+            if low.min() < 1 or (high > [lens.width_px - 2, lens.height_px - 2]).any():
+                continue
+            canvas = np.zeros((5 * lens.height_px, 5 * lens.width_px), dtype=np.uint8)
+            for triangle in np.rint((5 * places + 2)[mesh.triangles]).astype(np.int32):
+                cv2.fillConvexPoly(canvas, triangle, 1)
+            whole, mine = canvas[2::5, 2::5] > 0, ids == index + 16
+            if whole.sum() < 60 or (whole & mine).sum() < 0.97 * whole.sum():
+                continue  # too small to tell, or something stands before it
+            assert (mine & ~cv2.dilate(canvas, np.ones((11, 11)))[2::5, 2::5].astype(bool)).sum() == 0
+            rows, columns = np.nonzero(mine)
+            reach = np.array(
+                [columns.min() - low[0], rows.min() - low[1], high[0] - columns.max(), high[1] - rows.max()]
+            )
+            assert reach.min() > -1.0
+            assert reach.max() < 1.5  # tips thinner than a pixel may lie between the centres
+            seen += 1
+    assert seen > 5
+
+
 def test_depth_pictures_put_the_road_at_its_height(nusc: NuScenes) -> None:
     for _, pose, lens, ids, depths in pictures(nusc):
         rows, columns = np.nonzero((ids == 1) & (depths > 0) & (depths < 25))
@@ -287,6 +320,33 @@ def test_cameras_fire_as_nuscenes_do(nusc: NuScenes) -> None:
     assert offsets["LIDAR_TOP"] == 0
     assert offsets["CAM_FRONT"] == pytest.approx(-35_500, abs=700)
     assert offsets["CAM_BACK"] == pytest.approx(-10_400, abs=200)
+
+
+def test_sweeps_lie_between_key_frames(rigs: dict[str, Path], both: Path, tmp_path: Path) -> None:
+    """12 Hz pictures and 20 Hz clouds, chained with the key frames, which stay as they are without sweeps."""
+    root = tmp_path / "sweeps"
+    plan = make_synth_plan(replace(DRIVE, scenes=1, sweeps=True), [load_rig(rigs["narrow"])], "auto")
+    synthesise(plan, root, jobs=0)
+    dataset = open_dataset(root)
+    assert list(check_references(dataset)) == []
+    check_poses(dataset)
+    rows = {row.token: row for row in dataset.sample_data.rows}
+    first, second = sorted(dataset.sample.rows, key=lambda row: row.timestamp)
+    for channel, between, step_us in (("CAM_FRONT", 5, 83_333), ("CAM_BACK", 5, 83_333), ("LIDAR_TOP", 9, 50_000)):
+        chain = [row for row in rows.values() if dataset.sensor_of(row).channel == channel]
+        chain.sort(key=lambda row: row.timestamp)
+        assert [row.is_key_frame for row in chain] == [True, *[False] * between, True]
+        assert np.diff([row.timestamp for row in chain]) == pytest.approx(step_us, abs=1)
+        assert [row.next for row in chain] == [*(row.token for row in chain[1:]), ""]
+        assert [row.prev for row in chain] == ["", *(row.token for row in chain[:-1])]
+        assert [row.sample_token for row in chain] == [first.token, *[second.token] * (between + 1)]
+        for row in chain:
+            assert row.filename.startswith(f"{'samples' if row.is_key_frame else 'sweeps'}/{channel}/")
+            data = (root / row.filename).read_bytes()
+            if row.is_key_frame:
+                assert data == (both / "narrow" / row.filename).read_bytes()
+        assert len({(root / row.filename).read_bytes() for row in chain}) == len(chain)
+    NuScenes(VERSION, str(root), verbose=False)
 
 
 def test_nobody_touches_anybody(scene: Scene) -> None:
