@@ -34,7 +34,9 @@ def synth_command(
     instances: bool = option(False, "--instances/--no-instances", help="Write instance pictures."),
     depth: bool = option(False, "--depth/--no-depth", help="Write depth pictures (metres times 256)."),
     quality: int = option(95, "--quality", help="JPEG quality, 1 to 100."),
-    samples_per_pixel: int = option(4, "--samples-per-pixel", help="1, 4 or 16."),
+    samples_per_pixel: int | None = option(
+        None, "--samples-per-pixel", help="1, 4 or 16; 4 with GL and 1 with rays where not given."
+    ),
     renderer: RendererChoice = option(
         "auto", "--renderer", help="GL, rays on the CPU, or GL where it can be had (auto)."
     ),
@@ -45,10 +47,13 @@ def synth_command(
     debug: bool = DEBUG,
 ) -> None:
     """Render a synthetic drive through one rig or several, as nuScenes-format datasets with exact 3D boxes."""
+    from unidrive_cli.synth.renderers import renderer_name
     from unidrive_cli.synth.run import make_synth_plan, synthesise
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
     from unidrive_cli.warp.pictures import size_of_file
 
+    if samples_per_pixel is None:
+        samples_per_pixel = 4 if renderer_name(renderer)[0] == "gl" else 1
     options = SynthOptions(
         seed=seed,
         scenes=scenes,
@@ -69,7 +74,7 @@ def synth_command(
         for note in notes:
             typer.echo(f"note: {note}", err=True)
     plan = make_synth_plan(options, [found for found, _ in resolved], renderer)
-    typer.echo(f"renderer: {plan.renderer_name}", err=True)
+    typer.echo(f"renderer: {plan.renderer_name}, {plural(samples_per_pixel, 'sample')} per pixel", err=True)
     with Progress("samples", sys.stderr) as progress:
         summaries = synthesise(plan, dst, jobs=jobs_of(jobs), force=force, progress=progress)
     if as_json:
