@@ -39,7 +39,10 @@ def guarded(command: Command) -> Command:
             sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 (nobody reads on: not an error)
             raise typer.Exit(0) from None
         except KeyboardInterrupt:
-            _fail("interrupted. The same command continues where this one stopped.", INTERRUPTED, debug=False)
+            what_now = (
+                "The same command continues where this one stopped." if "dst" in kwargs else "Nothing was written."
+            )
+            _fail(f"interrupted. {what_now}", INTERRUPTED, debug=False)
         except Exception as error:
             if isinstance(error, typer.Exit) or type(error).__module__.startswith(("click", "typer")):
                 raise
