@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import typer
@@ -47,13 +47,10 @@ def synth_command(
     debug: bool = DEBUG,
 ) -> None:
     """Render a synthetic drive through one rig or several, as nuScenes-format datasets with exact 3D boxes."""
-    from unidrive_cli.synth.renderers import renderer_name
     from unidrive_cli.synth.run import make_synth_plan, synthesise
     from unidrive_cli.tables.rig_of_dataset import resolve_rig
     from unidrive_cli.warp.pictures import size_of_file
 
-    if samples_per_pixel is None:
-        samples_per_pixel = 4 if renderer_name(renderer)[0] == "gl" else 1
     options = SynthOptions(
         seed=seed,
         scenes=scenes,
@@ -63,7 +60,7 @@ def synth_command(
         firing=firing,
         sweeps=sweeps,
         quality=quality,
-        samples_per_pixel=samples_per_pixel,
+        samples_per_pixel=4 if samples_per_pixel is None else samples_per_pixel,
         instances=instances,
         depth=depth,
         version=version,
@@ -74,7 +71,10 @@ def synth_command(
         for note in notes:
             typer.echo(f"note: {note}", err=True)
     plan = make_synth_plan(options, [found for found, _ in resolved], renderer)
-    typer.echo(f"renderer: {plan.renderer_name}, {plural(samples_per_pixel, 'sample')} per pixel", err=True)
+    if samples_per_pixel is None and plan.renderer == "rays":
+        plan = replace(plan, options=replace(options, samples_per_pixel=1))
+    samples = plural(plan.options.samples_per_pixel, "sample")
+    typer.echo(f"renderer: {plan.renderer_name}, {samples} per pixel", err=True)
     with Progress("samples", sys.stderr) as progress:
         summaries = synthesise(plan, dst, jobs=jobs_of(jobs), force=force, progress=progress)
     if as_json:

@@ -406,9 +406,8 @@ class GlRenderer:
             pose = view.global_from_actor[index]
             self._shadow.place(pose[:3, :3], pose[:3, 3])
             self._shadow.draw_all(self._actors[index])
-        return [tuple(box) for box in boxes[touched].tolist()], (
-            np.abs(middle) + reach < _WELL_INSIDE * cascade.half_m
-        ).all(axis=1)
+        done = (np.abs(middle) + reach < _WELL_INSIDE * cascade.half_m).all(axis=1)
+        return [tuple(box) for box in boxes[touched].tolist()], done
 
     def _sun_clip(self, cascade: _Cascade, centre: Float) -> tuple[float, ...]:
         """The projection along the sun's rays, in the order that GL takes."""

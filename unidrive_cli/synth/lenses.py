@@ -99,7 +99,7 @@ def _faces(lens: Lens) -> Iterator[_Face]:
     rays = lens.unproject(np.stack([u, v], axis=-1))
     known = np.isfinite(rays).all(axis=-1)
     rays = np.where(known[..., None], rays, [0.0, 0.0, 1.0])
-    turns = np.array([_TURNS[name] for name in _TURNS], dtype=np.float64)
+    turns = np.array(list(_TURNS.values()), dtype=np.float64)
     nearest = np.argmax(rays @ turns[:, 2].T, axis=-1)
     step = np.median(np.linalg.norm(np.diff(rays, axis=1), axis=-1)[known[:, 1:] & known[:, :-1]])
     side_px = int(min(_MAX_FACE_PX, np.ceil(2 * np.tan(np.deg2rad(_FACE_DEG / 2)) / step)))

@@ -201,8 +201,6 @@ class RayRenderer:
             return self._still.taken(triangle)
         if moving.all():
             return self._actors.surfaces.taken(triangle)
-        if moving.all():
-            return self._actors.surfaces.taken(triangle)
         where = np.flatnonzero(moving)
         gathered = self._still.taken(np.where(moving, 0, triangle))
         gathered.put(where, self._actors.surfaces.taken(triangle[where]))
