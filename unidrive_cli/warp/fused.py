@@ -1,0 +1,553 @@
+"""The fused kernel: where each virtual pixel looks, and its colour, in one pass over YUV 4:2:0 planes (numba).
+
+A virtual pixel with the ray r = (x, y, 1) shows the scene point S = o + r / w with
+
+    w = max(|r| / D0, -(n . R r) / h),
+
+the half-ball of geometry.md in one formula: of two inverse depths the larger one counts, so the seam between
+ground and ball needs no case. Seen from a source camera the point is P = A r + b w up to the positive
+factor w, so its pixel is (U / Z, V / Z) with U, V, Z linear in (x, y, 1, w): no table of the picture's size
+is made, and motion between the cameras costs nothing. Which pixels a source sees follows from bounds of w
+on a row, and is decided in float64, pixel by pixel, where the bounds leave it open.
+
+All arithmetic is strict IEEE (no contraction, no reassociation), so processors agree to the last bit.
+Numba widens sums of 32-bit numbers to 64 bits unless told otherwise, which halves the width of the vector
+loops, and takes signed indices for possibly negative: hence the casts. Constants of other modules come in
+as arguments, because the compiled kernel on disk does not notice when they change.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+_f4, _i4, _u8 = np.float32, np.int32, np.uint64
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": True}
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+CHUNK = 512
+"""Pixels drawn at once: their coordinates and taps stay in the first-level cache."""
+_SHARED_CHUNK = 64
+_NODE_STEP = 4
+"""Shares of overlapping sources are computed at every fourth pixel of a row, and linear between,"""
+_STEEP = 0.1
+"""unless they change by more than this from one to the next: then at every pixel."""
+
+LIMITS, LUMA, CHROMA, BORDERS, POINT, ASIDE = 0, 5, 8, 11, 15, 18
+"""Rows of a source's model, all but the last forms with the columns x, y, 1, w.
+
+LIMITS: five that are >= 0 (the last: > 0) where the source sees the point. LUMA, CHROMA: U, V, Z of its pixel
+in those planes. BORDERS: four distances to the planes through its borders. POINT: the point in its frame.
+ASIDE: b in the virtual camera's frame; r x b gives the parallax.
+"""
+MODEL_ROWS = 19
+PLANES, STRIDES, SIZES = 0, 3, 5
+"""Columns of a source's layout: where Y, U, V start; strides of luma and chroma; their widths and heights."""
+LAYOUT_COLUMNS = 9
+PER_LENGTH, GROUND, BORDER_FLOOR, PARALLAX_FLOOR, MIN_SHARE = 0, 1, 4, 5, 6
+"""Entries of the scene: 1 / D0; -(n . R r) / h as a form of x, y, 1; constants of the blend."""
+_WS, _TOTALS, _NODE_XS, _NODE_WS, _LARGEST, _WEIGHTS = 0, 1, 2, 3, 4, 5
+"""Rows of the float scratch; after the weights of all sources come their shares."""
+
+
+@intrinsic
+def _load_pair(typingctx: Any, array: Any, index: Any) -> Any:
+    """Bytes `index` and `index + 1` of a uint8 array as one number: half the loads of a bilinear sample."""
+    signature = types.int32(array, types.uint64)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.gep(data, [arguments[1]])
+        place = builder.bitcast(place, ir.IntType(16).as_pointer())
+        return builder.zext(builder.load(place, align=1), ir.IntType(32))
+
+    return signature, codegen
+
+
+@intrinsic
+def _prefetch(typingctx: Any, array: Any, index: Any) -> Any:
+    """Asks for the cache line of byte `index` of a uint8 array, which is soon to be read."""
+    signature = types.void(array, types.uint64)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.bitcast(builder.gep(data, [arguments[1]]), ir.IntType(8).as_pointer())
+        i32 = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [place.type, i32, i32, i32])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [place.type], kind)
+        builder.call(function, [place, i32(0), i32(2), i32(1)])
+
+    return signature, codegen
+
+
+@njit(**_INNER)
+def _inverse_depth(xs, start, n, y, scene, floats, row):
+    """w of `n` pixels of a row, from `start` on, into the same places of a row of the scratch."""
+    per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
+    ground, square = _f4(scene[GROUND + 1] * y + scene[GROUND + 2]), _f4(y * y + 1)
+    for i in range(_u8(start), _u8(start + n)):
+        x = xs[i]
+        ball = np.sqrt(x * x + square) * per_length
+        plane = ground_x * x + ground
+        floats[row, i] = ball if ball > plane else plane
+
+
+@njit(**_INNER)
+def _form(models, j, row, y):
+    """A form at one row of the picture: float32 factors of x, 1, w."""
+    return _f4(models[j, row, 0]), _f4(models[j, row, 1] * y + models[j, row, 2]), _f4(models[j, row, 3])
+
+
+@njit(**_INNER)
+def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
+    """Source pixels of a stretch of a row: byte index of the upper left tap, and 8-bit fractions."""
+    rows = CHROMA if chroma else LUMA
+    ux, u0, uw = _form(models, j, rows, y)
+    vx, v0, vw = _form(models, j, rows + 1, y)
+    zx, z0, zw = _form(models, j, rows + 2, y)
+    zero, half, scale, one = _f4(0), _f4(0.5), _f4(256), _f4(1)
+    last_u, last_v = _f4(layout[j, SIZES + 2 * chroma] - 1), _f4(layout[j, SIZES + 2 * chroma + 1] - 1)
+    stride = _i4(layout[j, STRIDES + chroma])
+    first, index, fraction = _u8(start), 2 * k, 2 * k + 1
+    for i in range(_u8(n)):
+        x, w = xs[first + i], floats[_WS, first + i]
+        per_z = one / (z0 + zx * x + zw * w)
+        u = (u0 + ux * x + uw * w) * per_z
+        v = (v0 + vx * x + vw * w) * per_z
+        u = u if u > zero else zero
+        v = v if v > zero else zero
+        u = u if u < last_u else last_u
+        v = v if v < last_v else last_v
+        iu, iv = _i4(u * scale + half), _i4(v * scale + half)
+        ints[index, i] = _i4(_i4(_i4(iv >> _i4(8)) * stride) + _i4(iu >> _i4(8)))
+        ints[fraction, i] = _i4(_i4(_i4(iv & _i4(255)) << _i4(8)) | _i4(iu & _i4(255)))
+
+
+@njit(**_INNER)
+def _gather(atlas, offset, stride, ints, k, n, taps):
+    """The four taps of each pixel, packed into 32 bits."""
+    index = 2 * k
+    upper, lower, soon = _u8(offset), _u8(offset + stride), _u8(offset + 3 * stride)
+    for i in range(_u8(0), _u8(n), _u8(48)):
+        _prefetch(atlas, soon + _u8(np.uint32(ints[index, i])))
+    for i in range(_u8(n)):
+        at = _u8(np.uint32(ints[index, i]))
+        taps[i] = _i4(_load_pair(atlas, upper + at) | _i4(_load_pair(atlas, lower + at) << _i4(16)))
+
+
+@njit(inline="always", **_OPTIONS)
+def _bilinear(tap, f):
+    """The bilinear sample of packed taps, times 2^16."""
+    fx, fy = _i4(f & _i4(255)), _i4(f >> _i4(8))
+    a, b = _i4(tap & _i4(255)), _i4(_i4(tap >> _i4(8)) & _i4(255))
+    c, d = _i4(_i4(tap >> _i4(16)) & _i4(255)), _i4(_i4(tap >> _i4(24)) & _i4(255))
+    upper = _i4(_i4(a << _i4(8)) + _i4(fx * _i4(b - a)))
+    lower = _i4(_i4(c << _i4(8)) + _i4(fx * _i4(d - c)))
+    return _i4(_i4(upper << _i4(8)) + _i4(fy * _i4(lower - upper)))
+
+
+@njit(**_INNER)
+def _store(taps, ints, k, n, canvas, start):
+    """Writes the bilinear samples of packed taps to `canvas` from `start` on."""
+    first, fraction = _u8(start), 2 * k + 1
+    for i in range(_u8(n)):
+        canvas[first + i] = np.uint8(_i4(_i4(_bilinear(taps[i], ints[fraction, i]) + _i4(32768)) >> _i4(16)))
+
+
+@njit(**_INNER)
+def _add(taps, ints, k, n, floats, share):
+    """Adds share * bilinear sample of packed taps to the totals."""
+    fraction = 2 * k + 1
+    for i in range(_u8(n)):
+        value = _f4(_bilinear(taps[i], ints[fraction, i])) * _f4(1 / 65536)
+        floats[_TOTALS, i] += floats[share, i] * value
+
+
+@njit(**_INNER)
+def _store_totals(floats, n, canvas, start):
+    first = _u8(start)
+    for i in range(_u8(n)):
+        canvas[first + i] = np.uint8(_i4(floats[_TOTALS, i]))
+
+
+@njit(**_INNER)
+def _weigh(n, y, models, j, scene, floats, row):
+    """Angular weights of a source at `n` nodes of a row (`geometry.blending.angular_weights`)."""
+    n0x, n00, n0w = _form(models, j, BORDERS, y)
+    n1x, n10, n1w = _form(models, j, BORDERS + 1, y)
+    n2x, n20, n2w = _form(models, j, BORDERS + 2, y)
+    n3x, n30, n3w = _form(models, j, BORDERS + 3, y)
+    for i in range(_u8(n)):
+        x, w = floats[_NODE_XS, i], floats[_NODE_WS, i]
+        left, right = n0x * x + n00 + n0w * w, n1x * x + n10 + n1w * w
+        top, bottom = n2x * x + n20 + n2w * w, n3x * x + n30 + n3w * w
+        least = left if left < right else right
+        least = top if top < least else least
+        floats[row, i] = bottom if bottom < least else least
+    p0x, p00, p0w = _form(models, j, POINT, y)
+    p1x, p10, p1w = _form(models, j, POINT + 1, y)
+    p2x, p20, p2w = _form(models, j, POINT + 2, y)
+    a, b, c = _f4(models[j, ASIDE, 0]), _f4(models[j, ASIDE, 1]), _f4(models[j, ASIDE, 2])
+    border_floor, parallax_floor = _f4(scene[BORDER_FLOOR]), _f4(scene[PARALLAX_FLOOR])
+    one, two, y4 = _f4(1), _f4(2), _f4(y)
+    for i in range(_u8(n)):
+        x, w = floats[_NODE_XS, i], floats[_NODE_WS, i]
+        px, py, pz = p0x * x + p00 + p0w * w, p1x * x + p10 + p1w * w, p2x * x + p20 + p2w * w
+        to_source = px * px + py * py + pz * pz
+        to_virtual = x * x + y4 * y4 + one
+        cx, cy, cz = y4 * c - b, a - x * c, x * b - y4 * a
+        both = to_source * to_virtual
+        sine_square = w * w * (cx * cx + cy * cy + cz * cz) / both
+        cosine = (to_virtual + w * (x * a + y4 * b + c)) / np.sqrt(both)
+        chord = np.sqrt(two * sine_square / (one + cosine)) if cosine > _f4(-0.999) else two
+        sine = floats[row, i] / np.sqrt(to_source)
+        sine = sine if sine > border_floor else border_floor
+        sine *= sine
+        floored = chord + parallax_floor
+        floats[row, i] = sine * sine / (floored * floored)
+
+
+@njit(**_INNER)
+def _share(among, n, min_share, floats):
+    """Turns weights into shares that sum to 1; those below `min_share` are dropped."""
+    for _ in range(2):
+        for i in range(_u8(n)):
+            floats[_TOTALS, i] = floats[_WEIGHTS, i]
+        for k in range(1, among):
+            for i in range(_u8(n)):
+                floats[_TOTALS, i] += floats[_WEIGHTS + k, i]
+        for k in range(among):
+            for i in range(_u8(n)):
+                share = floats[_WEIGHTS + k, i] / floats[_TOTALS, i]
+                floats[_WEIGHTS + k, i] = share if share >= min_share else _f4(0)
+
+
+@njit(**_INNER)
+def _choose_largest(among, n, floats):
+    """Turns weights into 1 for the first of the largest and 0 for the others."""
+    for i in range(n):
+        best = 0
+        for k in range(1, among):
+            best = k if floats[_WEIGHTS + k, i] > floats[_WEIGHTS + best, i] else best
+        for k in range(among):
+            floats[_WEIGHTS + k, i] = _f4(1) if k == best else _f4(0)
+
+
+@njit(**_INNER)
+def _summarise(among, n, floats):
+    """Notes the largest share of each source; returns the largest step of any from one node to the next."""
+    steepest = _f4(0)
+    for k in range(among):
+        before = floats[_WEIGHTS + k, 0]
+        most = before
+        for i in range(1, n):
+            share = floats[_WEIGHTS + k, i]
+            most = share if share > most else most
+            step = abs(share - before)
+            steepest = step if step > steepest else steepest
+            before = share
+        floats[_LARGEST, k] = most
+    return steepest
+
+
+@njit(**_INNER)
+def _spread(floats, weights, n, shares):
+    """Shares between nodes that are four pixels apart, linear."""
+    for i in range(_u8((n + 3) // 4)):
+        value = floats[weights, i]
+        step = (floats[weights, i + _u8(1)] - value) * _f4(0.25)
+        at = i * _u8(4)
+        floats[shares, at] = value
+        floats[shares, at + _u8(1)] = value + step
+        floats[shares, at + _u8(2)] = value + _f4(2) * step
+        floats[shares, at + _u8(3)] = value + _f4(3) * step
+
+
+@njit(**_INNER)
+def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats):
+    """Shares of the sources that cover a stretch of a row; returns how many have any.
+
+    Those are moved to the front of `covering` and of the shares.
+    """
+    first_share = _WEIGHTS + models.shape[0]
+    spacing = xs[1] - xs[0] if xs.size > 1 else _f4(0)
+    apart = 1 if nearest else _NODE_STEP
+    while True:
+        nodes = n if apart == 1 else (n + _NODE_STEP - 1) // _NODE_STEP + 1
+        for i in range(_u8(nodes)):
+            floats[_NODE_XS, i] = xs[start] + _f4(_i4(i * _u8(apart))) * spacing
+        _inverse_depth(floats[_NODE_XS], 0, nodes, y, scene, floats, _NODE_WS)
+        for k in range(among):
+            _weigh(nodes, y, models, covering[k], scene, floats, _WEIGHTS + k)
+        if nearest:
+            _choose_largest(among, nodes, floats)
+        else:
+            _share(among, nodes, _f4(scene[MIN_SHARE]), floats)
+        steepest = _summarise(among, nodes, floats)
+        if apart == 1 or steepest <= _f4(_STEEP):
+            break
+        apart = 1
+    left = 0
+    for k in range(among):
+        if floats[_LARGEST, k] > 0:
+            covering[left] = covering[k]
+            if apart == 1:
+                for i in range(_u8(n)):
+                    floats[first_share + left, i] = floats[_WEIGHTS + k, i]
+            else:
+                _spread(floats, _WEIGHTS + k, n, first_share + left)
+            left += 1
+    return left
+
+
+@njit(**_INNER)
+def _column(x, x_first, x_step, count, slack):
+    """The column at x, moved by `slack` columns, clipped to [0, count]."""
+    column = (x - x_first) / x_step + slack
+    if column <= 0:
+        return 0
+    return count if column >= count else int(column)
+
+
+@njit(**_INNER)
+def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
+    """Columns of a row that a source sees at most, and those that it sees for certain: start, first, last, end.
+
+    `w_low` and `w_high` bound w on the row.
+    """
+    outer_low, outer_high = -np.inf, np.inf
+    inner_low, inner_high = -np.inf, np.inf
+    for k in range(LIMITS, LIMITS + 5):
+        a, rest, b = models[j, k, 0], models[j, k, 1] * y + models[j, k, 2], models[j, k, 3]
+        one, other = rest + b * w_low, rest + b * w_high
+        most, least = (one, other) if one > other else (other, one)
+        if a > 0:
+            outer_low, inner_low = max(outer_low, -most / a), max(inner_low, -least / a)
+        elif a < 0:
+            outer_high, inner_high = min(outer_high, -most / a), min(inner_high, -least / a)
+        else:
+            if most < 0:
+                outer_high = -np.inf
+            if least <= 0:
+                inner_high = -np.inf
+    start, end = _column(outer_low, x_first, x_step, count, -1), _column(outer_high, x_first, x_step, count, 2)
+    first, last = _column(inner_low, x_first, x_step, count, 2), _column(inner_high, x_first, x_step, count, -1)
+    first, last = max(first, start), min(last, end)
+    if end <= start:
+        return 0, 0, 0, 0
+    if last <= first:
+        return start, start, start, end
+    return start, first, last, end
+
+
+@njit(**_INNER)
+def _see(xs, start, end, y, scene, models, j, seen):
+    """Whether a source sees each pixel of a stretch of a row, in float64."""
+    per_length, ground_x, square = scene[PER_LENGTH], scene[GROUND], y * y + 1
+    ground = scene[GROUND + 1] * y + scene[GROUND + 2]
+    for i in range(_u8(start), _u8(end)):
+        x = xs[i]
+        ball = np.sqrt(x * x + square) * per_length
+        plane = ground_x * x + ground
+        w = ball if ball > plane else plane
+        least = np.inf
+        for k in range(LIMITS, LIMITS + 4):
+            value = models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w
+            least = value if value < least else least
+        k = LIMITS + 4
+        ahead = models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w
+        seen[i] = 1 if (least >= 0) & (ahead > 0) else 0
+
+
+@njit(**_INNER)
+def _inverse_depth_bounds(xs, y, scene):
+    """Bounds of w on a row."""
+    x_first, x_last = xs[0], xs[xs.size - 1]
+    ground_x, ground = scene[GROUND], scene[GROUND + 1] * y + scene[GROUND + 2]
+    nearest = min(max(0.0, x_first), x_last)
+    farthest = max(abs(x_first), abs(x_last))
+    low = np.sqrt(nearest * nearest + y * y + 1) * scene[PER_LENGTH]
+    high = np.sqrt(farthest * farthest + y * y + 1) * scene[PER_LENGTH]
+    one, other = ground + ground_x * x_first, ground + ground_x * x_last
+    return max(low, min(one, other)), max(high, max(one, other))
+
+
+@njit(**_INNER)
+def _runs(xs, y, scene, models, sources, runs, seen):
+    """The runs of columns that each source sees on a row: fills `runs` (n, 3) with start, end, source; returns n."""
+    width, count = xs.size, 0
+    step = (xs[width - 1] - xs[0]) / (width - 1) if width > 1 else 1.0
+    low, high = _inverse_depth_bounds(xs, y, scene)
+    for s in range(sources.size):
+        j = sources[s]
+        start, first, last, end = _bounds(models, j, y, low, high, xs[0], step, width)
+        if end == start:
+            continue
+        _see(xs, start, first, y, scene, models, j, seen)
+        _see(xs, last, end, y, scene, models, j, seen)
+        opened, column = -1, start
+        while column < end:
+            if column == first and last > first:
+                opened = column if opened < 0 else opened
+                column = last
+                continue
+            if seen[column]:
+                opened = column if opened < 0 else opened
+            elif opened >= 0:
+                runs[count, 0], runs[count, 1], runs[count, 2] = opened, column, j
+                count += 1
+                opened = -1
+            column += 1
+        if opened >= 0:
+            runs[count, 0], runs[count, 1], runs[count, 2] = opened, end, j
+            count += 1
+    return count
+
+
+@njit(**_INNER)
+def _possible_sources(xs, ys, scene, models):
+    """Indices of the sources that may see some pixel of a view."""
+    kept = np.empty(models.shape[0], np.int64)
+    count = 0
+    low, high = np.inf, -np.inf
+    for row in range(ys.size):
+        row_low, row_high = _inverse_depth_bounds(xs, ys[row], scene)
+        low, high = min(low, row_low), max(high, row_high)
+    for j in range(models.shape[0]):
+        possible = True
+        for k in range(LIMITS, LIMITS + 5):
+            most = models[j, k, 2] + max(models[j, k, 3] * low, models[j, k, 3] * high)
+            most += max(models[j, k, 0] * xs[0], models[j, k, 0] * xs[xs.size - 1])
+            most += max(models[j, k, 1] * ys[0], models[j, k, 1] * ys[ys.size - 1])
+            possible = possible and most >= 0
+        if possible:
+            kept[count] = j
+            count += 1
+    return kept[:count]
+
+
+@njit(**_INNER)
+def _cuts(runs, count, width, cuts):
+    """Sorted columns where some run starts or ends, 0 and `width` among them; returns their number."""
+    cuts[0], cuts[1], number = 0, width, 2
+    for k in range(count):
+        cuts[number], cuts[number + 1] = runs[k, 0], runs[k, 1]
+        number += 2
+    for i in range(1, number):
+        value, k = cuts[i], i
+        while k > 0 and cuts[k - 1] > value:
+            cuts[k] = cuts[k - 1]
+            k -= 1
+        cuts[k] = value
+    return number
+
+
+@njit(**_INNER)
+def _covering(runs, count, start, end, covering):
+    """The sources whose runs hold a stretch; returns their number."""
+    among = 0
+    for k in range(count):
+        if runs[k, 0] <= start and runs[k, 1] >= end:
+            covering[among] = runs[k, 2]
+            among += 1
+    return among
+
+
+@njit(**_INNER)
+def _fill(canvas, start, end, value):
+    for i in range(_u8(start), _u8(end)):
+        canvas[i] = value
+
+
+@njit(**_INNER)
+def _draw_row(
+    xs64, xs, y, sources, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size, covered,
+    covered_at, runs, cuts, covering, seen, ints, taps, floats
+):  # fmt: skip
+    """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`."""
+    width = xs.size
+    count = _runs(xs64, y, scene, models, sources, runs, seen)
+    number = _cuts(runs, count, width, cuts)
+    if count:
+        _inverse_depth(xs, cuts[1], cuts[number - 2] - cuts[1], y, scene, floats, _WS)
+    first_share = _WEIGHTS + models.shape[0]
+    for cut in range(number - 1):
+        start, stop = cuts[cut], cuts[cut + 1]
+        if start == stop:
+            continue
+        among = _covering(runs, count, start, stop, covering)
+        if not chroma:
+            _fill(covered, covered_at + start, covered_at + stop, np.uint8(255 if among else 0))
+        if among == 0:
+            for p in range(1 + chroma):
+                line = at + p * plane_size
+                _fill(canvas, line + start, line + stop, np.uint8(128 if chroma else 0))
+            continue
+        longest = _SHARED_CHUNK if among > 1 else CHUNK
+        while start < stop:
+            n = min(longest, stop - start)
+            if longest == _SHARED_CHUNK:
+                among = _covering(runs, count, start, stop, covering)
+                among = _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats)
+            for k in range(among):
+                _project(xs, floats, start, n, y, models, layout, covering[k], chroma, ints, k)
+            for p in range(1 + chroma):
+                line = at + p * plane_size
+                if among > 1:
+                    for i in range(_u8(n)):
+                        floats[_TOTALS, i] = _f4(0.5)
+                for k in range(among):
+                    j = covering[k]
+                    offset, stride = layout[j, PLANES + p + chroma], layout[j, STRIDES + chroma]
+                    _gather(atlas, offset, stride, ints, k, n, taps)
+                    if among == 1:
+                        _store(taps, ints, k, n, canvas, line + start)
+                    else:
+                        _add(taps, ints, k, n, floats, first_share + k)
+                if among > 1:
+                    _store_totals(floats, n, canvas, line + start)
+            start += n
+
+
+@njit(**_OPTIONS)
+def draw_view(xs, ys, xs_chroma, ys_chroma, scene, models, layout, nearest, atlas, canvas, covered):
+    """Draws a virtual picture in planes: Y (H, W), then U and V (H / 2, W / 2, rounded up), one after the other.
+
+    Args:
+        xs, ys: (W,), (H,) float64 coordinates of the pixels on the virtual camera's plane z = 1.
+        xs_chroma, ys_chroma: the same of the chroma samples.
+        scene: (7,) float64, see PER_LENGTH.
+        models: (sources, MODEL_ROWS, 4) float64, see LIMITS.
+        layout: (sources, LAYOUT_COLUMNS) int64, see PLANES.
+        nearest: take the source with the largest weight instead of mixing.
+        atlas: uint8, the source planes; after each row and each plane at least one more byte and row.
+        canvas: (H W + 2 ceil(H / 2) ceil(W / 2),) uint8 result; Y 0 and chroma 128 where no source sees the pixel.
+        covered: (H W,) uint8 result, 255 where one does.
+    """
+    height, width = ys.size, xs.size
+    chroma_height, chroma_width = ys_chroma.size, xs_chroma.size
+    count = models.shape[0]
+    runs = np.empty((count * (width // 2 + 2), 3), np.int64)
+    cuts = np.empty(2 * len(runs) + 2, np.int64)
+    covering = np.empty(count, np.int64)
+    seen = np.empty(width, np.uint8)
+    ints = np.empty((2 * count, CHUNK), np.int32)
+    taps = np.empty(CHUNK, np.int32)
+    floats = np.empty((_WEIGHTS + 2 * count, max(width, _SHARED_CHUNK + _NODE_STEP)), np.float32)
+    xs32, xs_chroma32 = xs.astype(np.float32), xs_chroma.astype(np.float32)
+    sources = _possible_sources(xs, ys, scene, models)
+    for row in range(height):
+        _draw_row(
+            xs, xs32, ys[row], sources, scene, models, layout, nearest, atlas, 0, canvas, row * width, 0,
+            covered, row * width, runs, cuts, covering, seen, ints, taps, floats,
+        )  # fmt: skip
+        if row % 2 == 0:
+            at = height * width + row // 2 * chroma_width
+            _draw_row(
+                xs_chroma, xs_chroma32, ys_chroma[row // 2], sources, scene, models, layout, nearest, atlas, 1,
+                canvas, at, chroma_height * chroma_width, covered, 0, runs, cuts, covering, seen, ints, taps, floats,
+            )  # fmt: skip
