@@ -21,9 +21,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
+
+Array = npt.NDArray[Any]
 
 _f4, _i4, _u8 = np.float32, np.int32, np.uint64
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": True}
@@ -31,7 +34,9 @@ _INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 CHUNK = 512
 """Pixels drawn at once: their coordinates and taps stay in the first-level cache."""
-_SHARED_CHUNK = 64
+LANES = 8
+"""Stretches are drawn in multiples of this. What is written beyond their end is drawn over afterwards, or padding."""
+_SHARED_CHUNK = 60
 _NODE_STEP = 4
 """Shares of overlapping sources are computed at every fourth pixel of a row, and linear between,"""
 _STEEP = 0.1
@@ -85,15 +90,33 @@ def _prefetch(typingctx: Any, array: Any, index: Any) -> Any:
 
 
 @njit(**_INNER)
-def _inverse_depth(xs, start, n, y, scene, floats, row):
-    """w of `n` pixels of a row, from `start` on, into the same places of a row of the scratch."""
+def _whole_lanes(n):
+    return (n + LANES - 1) // LANES * LANES
+
+
+@njit(**_INNER)
+def _inverse_depth(xs, start, n, y, scene, floats):
+    """w of `n` pixels of a row, from `start` on, into the same places of the scratch."""
     per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
     ground, square = _f4(scene[GROUND + 1] * y + scene[GROUND + 2]), _f4(y * y + 1)
     for i in range(_u8(start), _u8(start + n)):
         x = xs[i]
         ball = np.sqrt(x * x + square) * per_length
         plane = ground_x * x + ground
-        floats[row, i] = ball if ball > plane else plane
+        floats[_WS, i] = ball if ball > plane else plane
+
+
+@njit(**_INNER)
+def _place_nodes(x_start, x_step, n, y, scene, floats):
+    """x and w of `n` nodes of a row."""
+    per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
+    ground, square = _f4(scene[GROUND + 1] * y + scene[GROUND + 2]), _f4(y * y + 1)
+    for i in range(_u8(n)):
+        x = x_start + _f4(_i4(i)) * x_step
+        ball = np.sqrt(x * x + square) * per_length
+        plane = ground_x * x + ground
+        floats[_NODE_XS, i] = x
+        floats[_NODE_WS, i] = ball if ball > plane else plane
 
 
 @njit(**_INNER)
@@ -247,7 +270,7 @@ def _summarise(among, n, floats):
         for i in range(1, n):
             share = floats[_WEIGHTS + k, i]
             most = share if share > most else most
-            step = abs(share - before)
+            step = share - before if share > before else before - share
             steepest = step if step > steepest else steepest
             before = share
         floats[_LARGEST, k] = most
@@ -256,8 +279,8 @@ def _summarise(among, n, floats):
 
 @njit(**_INNER)
 def _spread(floats, weights, n, shares):
-    """Shares between nodes that are four pixels apart, linear."""
-    for i in range(_u8((n + 3) // 4)):
+    """Shares between nodes that are four pixels apart, linear, of `n` intervals."""
+    for i in range(_u8(n)):
         value = floats[weights, i]
         step = (floats[weights, i + _u8(1)] - value) * _f4(0.25)
         at = i * _u8(4)
@@ -274,13 +297,11 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
     Those are moved to the front of `covering` and of the shares.
     """
     first_share = _WEIGHTS + models.shape[0]
-    spacing = xs[1] - xs[0] if xs.size > 1 else _f4(0)
+    spacing = xs[1] - xs[0]
     apart = 1 if nearest else _NODE_STEP
     while True:
-        nodes = n if apart == 1 else (n + _NODE_STEP - 1) // _NODE_STEP + 1
-        for i in range(_u8(nodes)):
-            floats[_NODE_XS, i] = xs[start] + _f4(_i4(i * _u8(apart))) * spacing
-        _inverse_depth(floats[_NODE_XS], 0, nodes, y, scene, floats, _NODE_WS)
+        nodes = _whole_lanes(n if apart == 1 else (n + _NODE_STEP - 1) // _NODE_STEP + 1)
+        _place_nodes(xs[start], _f4(apart) * spacing, nodes, y, scene, floats)
         for k in range(among):
             _weigh(nodes, y, models, covering[k], scene, floats, _WEIGHTS + k)
         if nearest:
@@ -296,10 +317,10 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
         if floats[_LARGEST, k] > 0:
             covering[left] = covering[k]
             if apart == 1:
-                for i in range(_u8(n)):
+                for i in range(_u8(nodes)):
                     floats[first_share + left, i] = floats[_WEIGHTS + k, i]
             else:
-                _spread(floats, _WEIGHTS + k, n, first_share + left)
+                _spread(floats, _WEIGHTS + k, nodes - 1, first_share + left)
             left += 1
     return left
 
@@ -326,9 +347,13 @@ def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
         one, other = rest + b * w_low, rest + b * w_high
         most, least = (one, other) if one > other else (other, one)
         if a > 0:
-            outer_low, inner_low = max(outer_low, -most / a), max(inner_low, -least / a)
+            outer, inner = -most / a, -least / a
+            outer_low = outer if outer > outer_low else outer_low
+            inner_low = inner if inner > inner_low else inner_low
         elif a < 0:
-            outer_high, inner_high = min(outer_high, -most / a), min(inner_high, -least / a)
+            outer, inner = -most / a, -least / a
+            outer_high = outer if outer < outer_high else outer_high
+            inner_high = inner if inner < inner_high else inner_high
         else:
             if most < 0:
                 outer_high = -np.inf
@@ -336,7 +361,7 @@ def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
                 inner_high = -np.inf
     start, end = _column(outer_low, x_first, x_step, count, -1), _column(outer_high, x_first, x_step, count, 2)
     first, last = _column(inner_low, x_first, x_step, count, 2), _column(inner_high, x_first, x_step, count, -1)
-    first, last = max(first, start), min(last, end)
+    first, last = first if first > start else start, last if last < end else end
     if end <= start:
         return 0, 0, 0, 0
     if last <= first:
@@ -366,23 +391,24 @@ def _see(xs, start, end, y, scene, models, j, seen):
 @njit(**_INNER)
 def _inverse_depth_bounds(xs, y, scene):
     """Bounds of w on a row."""
-    x_first, x_last = xs[0], xs[xs.size - 1]
+    x_first, x_last, square = xs[0], xs[xs.size - 1], y * y + 1
     ground_x, ground = scene[GROUND], scene[GROUND + 1] * y + scene[GROUND + 2]
-    nearest = min(max(0.0, x_first), x_last)
-    farthest = max(abs(x_first), abs(x_last))
-    low = np.sqrt(nearest * nearest + y * y + 1) * scene[PER_LENGTH]
-    high = np.sqrt(farthest * farthest + y * y + 1) * scene[PER_LENGTH]
+    nearest = x_first if x_first > 0 else (x_last if x_last < 0 else 0.0)
+    farthest = x_last if x_last > -x_first else x_first
+    ball_low = np.sqrt(nearest * nearest + square) * scene[PER_LENGTH]
+    ball_high = np.sqrt(farthest * farthest + square) * scene[PER_LENGTH]
     one, other = ground + ground_x * x_first, ground + ground_x * x_last
-    return max(low, min(one, other)), max(high, max(one, other))
+    plane_low, plane_high = (one, other) if one < other else (other, one)
+    return ball_low if ball_low > plane_low else plane_low, ball_high if ball_high > plane_high else plane_high
 
 
 @njit(**_INNER)
-def _runs(xs, y, scene, models, sources, runs, seen):
+def _runs(xs, y, scene, models, sources, source_count, runs, seen):
     """The runs of columns that each source sees on a row: fills `runs` (n, 3) with start, end, source; returns n."""
     width, count = xs.size, 0
     step = (xs[width - 1] - xs[0]) / (width - 1) if width > 1 else 1.0
     low, high = _inverse_depth_bounds(xs, y, scene)
-    for s in range(sources.size):
+    for s in range(source_count):
         j = sources[s]
         start, first, last, end = _bounds(models, j, y, low, high, xs[0], step, width)
         if end == start:
@@ -409,25 +435,26 @@ def _runs(xs, y, scene, models, sources, runs, seen):
 
 
 @njit(**_INNER)
-def _possible_sources(xs, ys, scene, models):
-    """Indices of the sources that may see some pixel of a view."""
-    kept = np.empty(models.shape[0], np.int64)
+def _possible_sources(xs, ys, scene, models, sources):
+    """Indices of the sources that may see some pixel of a view; returns their number."""
     count = 0
     low, high = np.inf, -np.inf
     for row in range(ys.size):
         row_low, row_high = _inverse_depth_bounds(xs, ys[row], scene)
-        low, high = min(low, row_low), max(high, row_high)
+        low = row_low if row_low < low else low
+        high = row_high if row_high > high else high
     for j in range(models.shape[0]):
         possible = True
         for k in range(LIMITS, LIMITS + 5):
-            most = models[j, k, 2] + max(models[j, k, 3] * low, models[j, k, 3] * high)
-            most += max(models[j, k, 0] * xs[0], models[j, k, 0] * xs[xs.size - 1])
-            most += max(models[j, k, 1] * ys[0], models[j, k, 1] * ys[ys.size - 1])
+            of_x, of_y, of_w = models[j, k, 0], models[j, k, 1], models[j, k, 3]
+            most = models[j, k, 2] + of_w * (high if of_w > 0 else low)
+            most += of_x * (xs[xs.size - 1] if of_x > 0 else xs[0])
+            most += of_y * (ys[ys.size - 1] if of_y > 0 else ys[0])
             possible = possible and most >= 0
         if possible:
-            kept[count] = j
+            sources[count] = j
             count += 1
-    return kept[:count]
+    return count
 
 
 @njit(**_INNER)
@@ -465,15 +492,15 @@ def _fill(canvas, start, end, value):
 
 @njit(**_INNER)
 def _draw_row(
-    xs64, xs, y, sources, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size, covered,
+    xs64, xs, y, sources, source_count, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size, covered,
     covered_at, runs, cuts, covering, seen, ints, taps, floats
 ):  # fmt: skip
     """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`."""
-    width = xs.size
-    count = _runs(xs64, y, scene, models, sources, runs, seen)
+    width = xs64.size
+    count = _runs(xs64, y, scene, models, sources, source_count, runs, seen)
     number = _cuts(runs, count, width, cuts)
     if count:
-        _inverse_depth(xs, cuts[1], cuts[number - 2] - cuts[1], y, scene, floats, _WS)
+        _inverse_depth(xs, cuts[1], _whole_lanes(cuts[number - 2] - cuts[1]), y, scene, floats)
     first_share = _WEIGHTS + models.shape[0]
     for cut in range(number - 1):
         start, stop = cuts[cut], cuts[cut + 1]
@@ -489,65 +516,76 @@ def _draw_row(
             continue
         longest = _SHARED_CHUNK if among > 1 else CHUNK
         while start < stop:
-            n = min(longest, stop - start)
+            n = stop - start if stop - start < longest else longest
             if longest == _SHARED_CHUNK:
                 among = _covering(runs, count, start, stop, covering)
                 among = _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats)
+            padded = _whole_lanes(n)
             for k in range(among):
-                _project(xs, floats, start, n, y, models, layout, covering[k], chroma, ints, k)
+                _project(xs, floats, start, padded, y, models, layout, covering[k], chroma, ints, k)
             for p in range(1 + chroma):
                 line = at + p * plane_size
                 if among > 1:
-                    for i in range(_u8(n)):
+                    for i in range(_u8(padded)):
                         floats[_TOTALS, i] = _f4(0.5)
                 for k in range(among):
                     j = covering[k]
                     offset, stride = layout[j, PLANES + p + chroma], layout[j, STRIDES + chroma]
-                    _gather(atlas, offset, stride, ints, k, n, taps)
+                    _gather(atlas, offset, stride, ints, k, padded, taps)
                     if among == 1:
-                        _store(taps, ints, k, n, canvas, line + start)
+                        _store(taps, ints, k, padded, canvas, line + start)
                     else:
-                        _add(taps, ints, k, n, floats, first_share + k)
+                        _add(taps, ints, k, padded, floats, first_share + k)
                 if among > 1:
-                    _store_totals(floats, n, canvas, line + start)
+                    _store_totals(floats, padded, canvas, line + start)
             start += n
 
 
 @njit(**_OPTIONS)
-def draw_view(xs, ys, xs_chroma, ys_chroma, scene, models, layout, nearest, atlas, canvas, covered):
-    """Draws a virtual picture in planes: Y (H, W), then U and V (H / 2, W / 2, rounded up), one after the other.
+def draw_view(
+    xs, xs32, ys, xs_chroma, xs_chroma32, ys_chroma, scene, models, layout, nearest, atlas, canvas, covered,
+    runs, cuts, sources, covering, seen, ints, taps, floats
+):  # fmt: skip
+    """Draws a virtual picture in planes: Y (H, W), then U and V (H / 2, W / 2, rounded up).
 
     Args:
         xs, ys: (W,), (H,) float64 coordinates of the pixels on the virtual camera's plane z = 1.
-        xs_chroma, ys_chroma: the same of the chroma samples.
+        xs32: (W + LANES,) float32, the same.
+        xs_chroma, xs_chroma32, ys_chroma: the same of the chroma samples.
         scene: (7,) float64, see PER_LENGTH.
         models: (sources, MODEL_ROWS, 4) float64, see LIMITS.
         layout: (sources, LAYOUT_COLUMNS) int64, see PLANES.
         nearest: take the source with the largest weight instead of mixing.
-        atlas: uint8, the source planes; after each row and each plane at least one more byte and row.
-        canvas: (H W + 2 ceil(H / 2) ceil(W / 2),) uint8 result; Y 0 and chroma 128 where no source sees the pixel.
+        atlas: uint8, the source planes; each row has a byte more, each plane a row more than the picture.
+        canvas: uint8 result, three planes with LANES bytes of padding after each; Y 0 and chroma 128 where no
+            source sees the pixel.
         covered: (H W,) uint8 result, 255 where one does.
+        runs, cuts, sources, covering, seen, ints, taps, floats: memory to work in, of the shapes of `scratch`.
     """
-    height, width = ys.size, xs.size
-    chroma_height, chroma_width = ys_chroma.size, xs_chroma.size
-    count = models.shape[0]
-    runs = np.empty((count * (width // 2 + 2), 3), np.int64)
-    cuts = np.empty(2 * len(runs) + 2, np.int64)
-    covering = np.empty(count, np.int64)
-    seen = np.empty(width, np.uint8)
-    ints = np.empty((2 * count, CHUNK), np.int32)
-    taps = np.empty(CHUNK, np.int32)
-    floats = np.empty((_WEIGHTS + 2 * count, max(width, _SHARED_CHUNK + _NODE_STEP)), np.float32)
-    xs32, xs_chroma32 = xs.astype(np.float32), xs_chroma.astype(np.float32)
-    sources = _possible_sources(xs, ys, scene, models)
+    height, width, chroma_width = ys.size, xs.size, xs_chroma.size
+    chroma_size = ys_chroma.size * chroma_width + LANES
+    count = _possible_sources(xs, ys, scene, models, sources)
     for row in range(height):
-        _draw_row(
-            xs, xs32, ys[row], sources, scene, models, layout, nearest, atlas, 0, canvas, row * width, 0,
-            covered, row * width, runs, cuts, covering, seen, ints, taps, floats,
-        )  # fmt: skip
-        if row % 2 == 0:
-            at = height * width + row // 2 * chroma_width
+        for chroma in range(1 if row % 2 else 2):
+            half = row // 2
             _draw_row(
-                xs_chroma, xs_chroma32, ys_chroma[row // 2], sources, scene, models, layout, nearest, atlas, 1,
-                canvas, at, chroma_height * chroma_width, covered, 0, runs, cuts, covering, seen, ints, taps, floats,
+                xs_chroma if chroma else xs, xs_chroma32 if chroma else xs32, ys_chroma[half] if chroma else ys[row],
+                sources, count, scene, models, layout, nearest, atlas, chroma, canvas,
+                height * width + LANES + half * chroma_width if chroma else row * width, chroma_size,
+                covered, row * width, runs, cuts, covering, seen, ints, taps, floats,
             )  # fmt: skip
+
+
+def scratch(width_px: int, sources: int) -> tuple[Array, ...]:
+    """The memory that `draw_view` works in, for pictures of a width and a number of sources."""
+    runs = sources * (width_px // 2 + 2)
+    return (
+        np.empty((runs, 3), np.int64),
+        np.empty(2 * runs + 2, np.int64),
+        np.empty(sources, np.int64),
+        np.empty(sources, np.int64),
+        np.empty(width_px, np.uint8),
+        np.empty((2 * sources, CHUNK), np.int32),
+        np.empty(CHUNK, np.int32),
+        np.empty((_WEIGHTS + 2 * sources, max(width_px, _SHARED_CHUNK) + 2 * LANES), np.float32),
+    )
