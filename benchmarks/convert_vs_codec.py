@@ -55,7 +55,7 @@ def unit_of_work(data: Path, rig: str, folder: Path, *, ego_motion: bool, masks:
     """`convert`'s unit on the first sample; with ego motion the tables are built anew each time."""
     virtual_rig, _ = resolve_rig(rig)
     plan = make_plan(open_dataset(data), virtual_rig, Options(ego_motion=ego_motion, quality=QUALITY, masks=masks))
-    job = Job(Destination(folder), virtual_rig, plan.options, plan.digest)
+    job = Job(Destination(folder), virtual_rig, plan.options, plan.toolchain, plan.digest)
     job.destination.work.mkdir(parents=True)
     frame = plan.frame(plan.units[0])
     round_number = 0

@@ -11,8 +11,8 @@ from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.warp.opencv_kernel import OpenCVRenderer, ViewTables
 from unidrive_cli.warp.pictures import read_picture
-from unidrive_cli.warp.render import Renderer, ViewTables
 
 
 @dataclass
@@ -30,7 +30,7 @@ def render_samples(root: Path, rig: Rig, version: str | None = None, **options: 
     dataset = open_dataset(root, version)
     plan = make_plan(dataset, rig, Options(**options))
     chosen = plan.options
-    renderer = Renderer(rig, chosen.depth_limit_m, chosen.ground_height_m, chosen.blend)
+    renderer = OpenCVRenderer(rig, chosen)
     rendered = []
     for unit in plan.units:
         frame = plan.frame(unit)

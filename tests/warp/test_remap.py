@@ -15,9 +15,9 @@ from unidrive_cli.geometry.poses import inverse, pose, rotation_from_yaw_pitch_r
 from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
+from unidrive_cli.warp.opencv_kernel import OpenCVRenderer
 from unidrive_cli.warp.pictures import Picture
 from unidrive_cli.warp.remap import Source, VirtualView, build_patches, coverage, dominant_sources
-from unidrive_cli.warp.render import Renderer
 
 
 @st.composite
@@ -148,7 +148,7 @@ def test_remaps_only_where_pairs_overlap(shared_data: Path) -> None:
 
 def test_tables_are_kept_while_nothing_moves() -> None:
     rig = Rig("r", "", (Camera("V", Pinhole.from_hfov(70, 160, 90), _level(0, 0.0)),))
-    renderer = Renderer(rig, 50.0, 0.0, "angular")
+    renderer = OpenCVRenderer(rig, WarpChoices())
     still = [source_of(rig.cameras[0])]
     first = renderer.tables(still)
     assert renderer.tables([source_of(rig.cameras[0])]) is first
@@ -162,7 +162,7 @@ def test_two_grey_sources_mix_or_decide(blend: str, middle: tuple[int, ...]) -> 
     real = [Camera("C", Pinhole.from_hfov(90, 400, 300), _level(yaw, 0.0)) for yaw in (30, -30)]
     rig = Rig("r", "", (Camera("V", Pinhole.from_hfov(80, 400, 200), _level(0, 0.0)),))
     grey: list[Picture] = [np.full((300, 400, 3), level, dtype=np.uint8) for level in (50, 150)]
-    (view,) = Renderer(rig, 50.0, 0.0, blend).tables([source_of(camera) for camera in real])
+    (view,) = OpenCVRenderer(rig, WarpChoices(blend=blend)).tables([source_of(camera) for camera in real])
     picture = view.render(grey)
     assert (picture[100, 0] == 50).all()
     assert (picture[100, -1] == 150).all()

@@ -62,6 +62,8 @@ def seen_boxes(
     by_sources = np.zeros(points.shape[:2], dtype=bool)
     for source in witnesses:
         ahead = _ahead(source.cam_from_ego, corners)
+        if isinstance(source.lens, Pinhole):
+            ahead = ahead[_may_show(source.lens, transform(source.cam_from_ego, corners[ahead]))]
         by_sources[ahead] |= source.lens.project(transform(source.cam_from_ego, points[ahead]))[1]
     by_views = np.zeros(points.shape[:2], dtype=bool)
     boxes: list[Box2d] = []
@@ -115,7 +117,7 @@ def _bounds_2d(
     beside = (high <= 0).any(axis=1) | (low >= canvas).any(axis=1)
     inside = (low >= 0).all(axis=1) & (high <= canvas).all(axis=1)
     for index in np.flatnonzero(~(whole & beside)):
-        if whole[index] and inside[index] and _covered(mask, low[index], high[index]).all():
+        if whole[index] and inside[index] and _is_full(_covered(mask, low[index], high[index])):
             yield int(index), (*low[index].tolist(), *high[index].tolist())
             continue
         points = pixels[index]
@@ -140,11 +142,15 @@ def _covered(mask: npt.NDArray[np.uint8], low: Float, high: Float) -> npt.NDArra
     return mask[top : bottom + 1, left : right + 1]
 
 
+def _is_full(mask: npt.NDArray[np.uint8]) -> bool:
+    return cv2.countNonZero(mask) == mask.size
+
+
 def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:
     """Whether an outline inside the picture holds a pixel of a mask."""
     low, high = np.array(outline.bounds).reshape(2, 2)
     part = _covered(mask, low, high)
-    if part.all() or not part.any():
+    if _is_full(part) or not cv2.countNonZero(part):
         return bool(part.any())
     inside = np.zeros(part.shape, dtype=np.uint8)
     polygon = np.rint(shapely.get_coordinates(outline) - low.astype(int)).astype(np.int32)

@@ -29,8 +29,7 @@ from unidrive_cli.tables.destination import RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.table import write_rows
 from unidrive_cli.warp.pictures import encode_mask, size_of_file
-from unidrive_cli.warp.remap import Source
-from unidrive_cli.warp.render import Renderer
+from unidrive_cli.warp.remap import Source, build_patches, coverage, virtual_views
 
 LOW_COVERAGE = 0.01
 _KEPT = ("covered", "picture_bytes", "files_carried", "files_missing", "notes")
@@ -189,9 +188,9 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
     rig, _ = rig_of_dataset(plan.dataset, options.scenes, size_of_file)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
-    renderer = Renderer(plan.rig, options.depth_limit_m, options.ground_height_m, options.blend)
-    for camera, view in zip(plan.rig.cameras, renderer.tables(sources), strict=True):
-        destination.write(camera_mask_name(camera.channel), view.mask_png)
+    for view in virtual_views(plan.rig, options.depth_limit_m, options.ground_height_m):
+        mask = coverage(view, build_patches(view, sources, options.blend))
+        destination.write(camera_mask_name(view.camera.channel), encode_mask(mask))
 
 
 def _summary(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from unidrive_cli.errors import UsageError
-from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
 
 Masks = Literal["frame", "camera", "none"]
 Link = Literal["hardlink", "symlink", "copy"]
@@ -30,6 +30,7 @@ class Options(WarpChoices):
         on_error: `stop` at the first broken sample, or `skip` it.
         verify: `sample` of the pictures decoded at the end, or `full`.
         jobs: worker processes; 0 works in this process.
+        kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
     """
 
     quality: int = 95
@@ -42,6 +43,8 @@ class Options(WarpChoices):
     on_error: OnError = "stop"
     verify: VerifyLevel = "sample"
     jobs: int = 0
+    kernel: Kernel = "auto"
+    codec: Codec = "auto"
 
     def __post_init__(self) -> None:
         if not 1 <= self.quality <= 100:
@@ -52,6 +55,6 @@ class Options(WarpChoices):
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "on_error")
+        apart = ("jobs", "verify", "on_error", "kernel", "codec")
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

@@ -14,9 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import simplejpeg
 
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
@@ -36,8 +34,9 @@ from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
 from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
+from unidrive_cli.warp.render import Toolchain, choose_toolchain
 
-METHOD = 1
+METHOD = 2
 """Version of what the pictures and tables depend on; a change of results raises it."""
 
 STANDARD_CHANNELS = (
@@ -82,6 +81,7 @@ class Plan:
 
     Attributes:
         dataset, rig, options: what it was made from.
+        toolchain: kernel and codec.
         units: one per sample, by scene and time.
         notes: what a user should know, one sentence each.
     """
@@ -89,6 +89,7 @@ class Plan:
     dataset: Dataset
     rig: Rig
     options: Options
+    toolchain: Toolchain
     units: list[Unit]
     notes: list[str]
 
@@ -101,8 +102,7 @@ class Plan:
             "source": {"version": self.dataset.version, "digest": self.dataset.digest},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity(),
-            "codec": {"decode": f"simplejpeg {simplejpeg.__version__}", "encode": f"opencv {cv2.__version__}"},
-            "kernel": "opencv-fixed-point",
+            **self.toolchain.identity,
         }
 
     @property
@@ -160,6 +160,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         RigError, UsageError: a rig or an option that does not fit the dataset.
     """
     _check_channels(dataset, rig)
+    toolchain = choose_toolchain(options.kernel, options.codec)
     surfaces = [view.half_ball for view in virtual_views(rig, options.depth_limit_m, options.ground_height_m)]
     notes = list(dataset.notes)
     mended = []
@@ -182,7 +183,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
     notes.extend(_source_notes(dataset, units, channels, surfaces))
     notes.extend(consumer_notes(rig, dataset))
-    plan = Plan(dataset, rig, options, units, notes)
+    plan = Plan(dataset, rig, options, toolchain, units, notes)
     _check_cameras(plan)
     return plan
 

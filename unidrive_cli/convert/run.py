@@ -97,7 +97,7 @@ def _run_units(
     total = len(plan.units)
     if progress:
         progress(len(receipts), total)
-    job = Job(destination, plan.rig, plan.options, plan.digest)
+    job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest)
     for outcome in _outcomes(plan, job, todo):
         if isinstance(outcome, Failure):
             failures.append(outcome)

@@ -16,9 +16,9 @@ from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.converted import WORK, mask_name
 from unidrive_cli.tables.destination import RECEIPTS, Destination
-from unidrive_cli.warp.pictures import encode_jpeg, read_picture
+from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
-from unidrive_cli.warp.render import Renderer
+from unidrive_cli.warp.render import Renderer, Toolchain, open_renderer
 
 SKIP_HINT = "Restore it, or leave its sample out with --on-error skip."
 
@@ -29,13 +29,14 @@ class Job:
 
     Attributes:
         destination: DST.
-        rig, options: the plan's.
+        rig, options, toolchain: the plan's.
         key: digest of the plan.
     """
 
     destination: Destination
     rig: Rig
     options: Options
+    toolchain: Toolchain
     key: str
 
     def __eq__(self, other: object) -> bool:
@@ -117,34 +118,28 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         PictureError: a source picture is missing, broken or of another size.
         OutputError: a file cannot be written.
     """
-    renderer = renderer_of(job)
-    pictures = [
-        read_picture(Path(path), (source.lens.width_px, source.lens.height_px), SKIP_HINT)
-        for path, source in zip(frame.paths, frame.sources, strict=True)
-    ]
-    tables = renderer.tables(frame.sources)
-    sizes = []
-    for view, name in zip(tables, frame.pictures, strict=True):
-        data = encode_jpeg(view.render(pictures), job.options.quality)
-        sizes.append(len(data))
-        job.destination.write(name, data)
+    paths = [Path(path) for path in frame.paths]
+    rendered = renderer_of(job).render(paths, frame.sources, job.options.quality, SKIP_HINT)
+    sizes, covered, masks = [], [], []
+    for picture, name in zip(rendered, frame.pictures, strict=True):
+        job.destination.write(name, picture.jpeg)
         if job.options.masks == "frame":
-            job.destination.write(mask_name(name), view.mask_png)
+            job.destination.write(mask_name(name), encode_mask(picture.mask))
+        sizes.append(len(picture.jpeg))
+        covered.append(round(picture.covered, 6))
+        masks.append(picture.mask)
     shown, unwitnessed, boxes = seen_boxes(
         frame.ego_from_box,
         frame.box_sizes_m,
         frame.witnesses,
-        [(camera, view.mask) for camera, view in zip(job.rig.cameras, tables, strict=True)],
+        list(zip(job.rig.cameras, masks, strict=True)),
     )
-    receipt = Receipt(
-        frame.sample_token, [round(view.covered, 6) for view in tables], sizes, shown, unwitnessed, boxes
-    )
+    receipt = Receipt(frame.sample_token, covered, sizes, shown, unwitnessed, boxes)
     job.destination.write(receipt_name(frame.sample_token), msgspec.json.encode(receipt))
     return receipt
 
 
 @functools.lru_cache(maxsize=1)
 def renderer_of(job: Job) -> Renderer:
-    """The job's renderer: one per worker process, because its tables outlive a unit."""
-    options = job.options
-    return Renderer(job.rig, options.depth_limit_m, options.ground_height_m, options.blend)
+    """The job's renderer: one per worker process, because its memory and its tables outlive a unit."""
+    return open_renderer(job.toolchain, job.rig, job.options)

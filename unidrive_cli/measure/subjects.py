@@ -17,9 +17,9 @@ from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, refer
 from unidrive_cli.tables.rig_of_dataset import picture_size_of, rig_of_dataset
 from unidrive_cli.tables.schema import Sample, SampleData
 from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.opencv_kernel import ViewTables
 from unidrive_cli.warp.pictures import Picture, read_mask, read_picture, size_of_file
 from unidrive_cli.warp.remap import Source, build_patches, dominant_sources, virtual_views
-from unidrive_cli.warp.render import ViewTables
 
 
 @dataclass(frozen=True, eq=False)

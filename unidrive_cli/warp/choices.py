@@ -13,6 +13,11 @@ DEFAULT_GROUND_HEIGHT_M = 0.0
 Blend = Literal["angular", "nearest"]
 """How overlapping sources are joined: mixed by weight, or the one with the largest weight."""
 
+Kernel = Literal["auto", "numba", "opencv"]
+"""What warps and blends: the fused kernel on YUV planes, or OpenCV; `auto` takes the first where numba is here."""
+Codec = Literal["auto", "libturbojpeg", "simplejpeg"]
+"""What decodes and encodes for the fused kernel; `auto` takes libturbojpeg where the system has it."""
+
 
 @dataclass(frozen=True)
 class WarpChoices:

@@ -29,16 +29,27 @@ from numba.extending import intrinsic
 Array = npt.NDArray[Any]
 
 _f4, _i4, _u8 = np.float32, np.int32, np.uint64
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": True}
+
+
+def _can_cache() -> bool:
+    """Whether compiled code can be kept: beside this file, in the user's cache folder or in NUMBA_CACHE_DIR."""
+    try:
+        njit(cache=True)(_can_cache)
+    except RuntimeError:
+        return False
+    return True
+
+
+_OPTIONS: dict[str, Any] = {"cache": _can_cache(), "error_model": "numpy", "nogil": True, "_nrt": False}
 _INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 CHUNK = 512
 """Pixels drawn at once: their coordinates and taps stay in the first-level cache."""
 LANES = 8
 """Stretches are drawn in multiples of this. What is written beyond their end is drawn over afterwards, or padding."""
-_SHARED_CHUNK = 60
-_NODE_STEP = 4
-"""Shares of overlapping sources are computed at every fourth pixel of a row, and linear between,"""
+_SHARED_CHUNK = 120
+_NODE_STEP = 8
+"""Shares of overlapping sources are computed at every eighth pixel of a row, and linear between,"""
 _STEEP = 0.1
 """unless they change by more than this from one to the next: then at every pixel."""
 
@@ -279,15 +290,13 @@ def _summarise(among, n, floats):
 
 @njit(**_INNER)
 def _spread(floats, weights, n, shares):
-    """Shares between nodes that are four pixels apart, linear, of `n` intervals."""
+    """Shares between nodes that are eight pixels apart, linear, of `n` intervals."""
     for i in range(_u8(n)):
         value = floats[weights, i]
-        step = (floats[weights, i + _u8(1)] - value) * _f4(0.25)
-        at = i * _u8(4)
-        floats[shares, at] = value
-        floats[shares, at + _u8(1)] = value + step
-        floats[shares, at + _u8(2)] = value + _f4(2) * step
-        floats[shares, at + _u8(3)] = value + _f4(3) * step
+        step = (floats[weights, i + _u8(1)] - value) * _f4(1 / _NODE_STEP)
+        at = i * _u8(_NODE_STEP)
+        for place in range(_u8(_NODE_STEP)):
+            floats[shares, at + place] = value + _f4(_i4(place)) * step
 
 
 @njit(**_INNER)
@@ -589,3 +598,44 @@ def scratch(width_px: int, sources: int) -> tuple[Array, ...]:
         np.empty(CHUNK, np.int32),
         np.empty((_WEIGHTS + 2 * sources, max(width_px, _SHARED_CHUNK) + 2 * LANES), np.float32),
     )
+
+
+@njit(**_OPTIONS)
+def split_planes(picture, luma, blue, red):
+    """Y, Cb and Cr (full range, as JPEG has them) of a BGR picture (H, W, 3) uint8; chroma is the mean of 2x2 pixels.
+
+    The planes may be larger than the picture needs; what is beyond stays.
+    """
+    height, width = picture.shape[0], picture.shape[1]
+    for row in range(_u8(height)):
+        for column in range(_u8(width)):
+            b, g, r = _i4(picture[row, column, 0]), _i4(picture[row, column, 1]), _i4(picture[row, column, 2])
+            y = _i4(_i4(_i4(19595) * r) + _i4(_i4(38470) * g))
+            luma[row, column] = np.uint8(_i4(_i4(_i4(y + _i4(_i4(7471) * b)) + _i4(32768)) >> _i4(16)))
+    for row in range(_u8((height + 1) // 2)):
+        upper, lower = _u8(2) * row, _u8(2) * row + _u8(1)
+        lower = lower if lower < _u8(height) else upper
+        for column in range(_u8((width + 1) // 2)):
+            left, right = _u8(2) * column, _u8(2) * column + _u8(1)
+            right = right if right < _u8(width) else left
+            b, g, r = _i4(0), _i4(0), _i4(0)
+            for at in ((upper, left), (upper, right), (lower, left), (lower, right)):
+                b = _i4(b + _i4(picture[at[0], at[1], 0]))
+                g = _i4(g + _i4(picture[at[0], at[1], 1]))
+                r = _i4(r + _i4(picture[at[0], at[1], 2]))
+            cb = _i4(_i4(_i4(32768) * b) - _i4(_i4(_i4(11059) * r) + _i4(_i4(21709) * g)))
+            cr = _i4(_i4(_i4(32768) * r) - _i4(_i4(_i4(27439) * g) + _i4(_i4(5329) * b)))
+            blue[row, column] = np.uint8(_i4(_i4(_i4(cb >> _i4(2)) + _i4(128 * 65536 + 32767)) >> _i4(16)))
+            red[row, column] = np.uint8(_i4(_i4(_i4(cr >> _i4(2)) + _i4(128 * 65536 + 32767)) >> _i4(16)))
+
+
+def warm_up() -> None:
+    """Compiles the kernel, or loads it from the disk; once, before worker processes do so side by side."""
+    axis, axis32, planes = np.zeros(2), np.zeros(2 + LANES, np.float32), np.zeros(6 + 3 * LANES, np.uint8)
+    models, layout = np.zeros((0, MODEL_ROWS, 4)), np.zeros((0, LAYOUT_COLUMNS), np.int64)
+    half = axis[:1].copy()
+    draw_view(
+        axis, axis32, axis, half, axis32, half, np.ones(MIN_SHARE + 1), models, layout, False, planes, planes.copy(),
+        planes.copy(), *scratch(2, 0),
+    )  # fmt: skip
+    split_planes(np.zeros((2, 2, 3), np.uint8), *np.zeros((3, 2, 2), np.uint8))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +31,37 @@ def picture_size(data: bytes, where: str) -> tuple[int, int]:
     if data.startswith(_PNG_MAGIC) and len(data) >= 24:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)
-    if data.startswith(_JPEG_MAGIC):
+    if is_jpeg(data):
         try:
             height, width, _, _ = simplejpeg.decode_jpeg_header(data, strict=False)
         except (ValueError, KeyError) as error:
-            raise PictureError(f"is a broken JPEG file ({_reason(error)}).", where=where) from error
+            raise PictureError(f"is a broken JPEG file ({reason(error)}).", where=where) from error
         return int(width), int(height)
     what = "is empty" if not data else "is neither a JPEG nor a PNG file"
     raise PictureError(f"the picture {what}.", where=where)
 
 
-def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture:
+def is_jpeg(data: bytes) -> bool:
+    """Whether a file starts like a JPEG file."""
+    return data.startswith(_JPEG_MAGIC)
+
+
+def decode_picture(
+    data: bytes,
+    size_px: tuple[int, int],
+    where: str,
+    *,
+    replicate_chroma: bool = False,
+    memory: Picture | None = None,
+) -> Picture:
     """Decodes a JPEG or PNG file as stored (EXIF orientation is ignored: the intrinsics know none).
 
     Args:
         data: the file.
         size_px: (width, height) that the tables promise; checked before memory is taken.
         where: what error sentences call the file.
+        replicate_chroma: spread the chroma of a JPEG file without smoothing.
+        memory: contiguous bytes, enough for the picture, that a JPEG file may be decoded into.
 
     Returns:
         (height, width, 3) uint8, BGR.
@@ -54,11 +70,13 @@ def decode_picture(data: bytes, size_px: tuple[int, int], where: str) -> Picture
         PictureError: broken, truncated, of another format or size.
     """
     check_size(data, size_px, where)
-    if data.startswith(_JPEG_MAGIC):
+    if is_jpeg(data):
         try:
-            picture: Picture = simplejpeg.decode_jpeg(data, colorspace="BGR")
+            picture: Picture = simplejpeg.decode_jpeg(
+                data, colorspace="BGR", fastupsample=replicate_chroma, buffer=memory
+            )
         except (ValueError, KeyError) as error:
-            raise PictureError(f"is a broken JPEG file ({_reason(error)}).", where=where) from error
+            raise PictureError(f"is a broken JPEG file ({reason(error)}).", where=where) from error
         return picture
     if not data.endswith(_PNG_END):
         raise PictureError("is a truncated PNG file: its end is missing.", where=where)
@@ -115,9 +133,15 @@ def read_picture(path: Path, size_px: tuple[int, int], hint: str = "") -> Pictur
     Raises:
         PictureError: missing, broken, or of another size.
     """
-    data = _read(path, hint)
+    with hinting(hint):
+        return decode_picture(read_file(path), size_px, str(path))
+
+
+@contextlib.contextmanager
+def hinting(hint: str) -> Iterator[None]:
+    """Adds what to do to the picture errors that have no hint of their own."""
     try:
-        return decode_picture(data, size_px, str(path))
+        yield
     except PictureError as error:
         raise PictureError(error.what, where=error.where, hint=error.hint or hint) from error
 
@@ -145,7 +169,7 @@ def read_instances(path: Path, size_px: tuple[int, int]) -> npt.NDArray[np.uint1
 
 
 def _read_plane(path: Path, size_px: tuple[int, int]) -> npt.NDArray[Any]:
-    data = _read(path, "")
+    data = read_file(path)
     check_size(data, size_px, str(path))
     plane = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if plane is None or not data.endswith(_PNG_END):
@@ -155,13 +179,18 @@ def _read_plane(path: Path, size_px: tuple[int, int]) -> npt.NDArray[Any]:
     return np.asarray(plane)
 
 
-def _read(path: Path, hint: str) -> bytes:
+def read_file(path: Path) -> bytes:
+    """The bytes of a picture file.
+
+    Raises:
+        PictureError: it is missing or cannot be read.
+    """
     try:
         if not path.is_file():
-            raise PictureError("the picture is missing or is no file.", where=str(path), hint=hint)
+            raise PictureError("the picture is missing or is no file.", where=str(path))
         return path.read_bytes()
     except OSError as error:
-        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path), hint=hint) from error
+        raise PictureError(f"the picture cannot be read: {error.strerror}.", where=str(path)) from error
 
 
 def encode_jpeg(picture: Picture, quality: int) -> bytes:
@@ -187,7 +216,8 @@ def _encode(suffix: str, picture: npt.NDArray[np.uint8], parameters: list[int]) 
     return bytes(data)
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """What a JPEG decoder complains of."""
     if isinstance(error, KeyError):
         return "its header cannot be read"
     return str(error).split("(): ")[-1].rstrip(".")

@@ -1,167 +1,117 @@
-"""The renderer: source pictures in, virtual pictures and coverage masks out."""
+"""The seam between a unit of work and its kernels: source files in, virtual pictures and coverage masks out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib.util
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from pathlib import Path
+from typing import Protocol
 
 import cv2
-import numpy as np
-import numpy.typing as npt
+import simplejpeg
 
+from unidrive_cli.errors import UsageError
 from unidrive_cli.rig.model import Rig
-from unidrive_cli.warp.choices import Blend
-from unidrive_cli.warp.pictures import Picture, encode_mask
-from unidrive_cli.warp.remap import (
-    Mask,
-    Patch,
-    Source,
-    VirtualView,
-    bounds,
-    build_patches,
-    coverage,
-    strips,
-    virtual_views,
-)
-
-_BAND_ROWS = 64
-"""Rows drawn at once: their warped pixels stay in the processor's cache until they are mixed."""
-_NO_SECOND_MAP = np.empty(0, dtype=np.float32)
+from unidrive_cli.warp import turbojpeg
+from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
+from unidrive_cli.warp.remap import Mask, Source
 
 
-class Renderer:
-    """Renders a virtual rig from whatever sources each frame has.
+@dataclass(frozen=True, eq=False)
+class VirtualPicture:
+    """One picture of a virtual rig.
 
-    This is the seam for faster kernels: whatever takes sources and pictures and gives back one
-    `Picture` and one mask per virtual camera can stand in its place.
-
-    The tables of the last frame are kept, so frames with the same calibrations and no motion
-    between the cameras (or with the motion left out) share them.
+    Attributes:
+        jpeg: the file.
+        mask: (H, W) uint8, 255 where a source sees the pixel; the renderer may write over it in the next frame.
     """
 
-    def __init__(self, rig: Rig, depth_limit_m: float, ground_height_m: float, blend: Blend) -> None:
-        """
-        Raises:
-            RigError: a virtual camera below the ground, or a depth limit below its height.
-        """
-        self.views = virtual_views(rig, depth_limit_m, ground_height_m)
-        self._blend = blend
-        self._tables: tuple[object, list[ViewTables]] | None = None
+    jpeg: bytes
+    mask: Mask
 
-    def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
-        """The remap tables of all virtual cameras for these sources."""
-        key = tuple((source.lens, source.cam_from_ego.tobytes()) for source in sources)
-        if self._tables is None or self._tables[0] != key:
-            self._tables = None
-            built = [ViewTables(view, build_patches(view, sources, self._blend)) for view in self.views]
-            self._tables = (key, built)
-        return self._tables[1]
-
-
-class ViewTables:
-    """The remap tables of one virtual camera, in the form that OpenCV's kernels take."""
-
-    def __init__(self, view: VirtualView, patches: Sequence[Patch]) -> None:
-        lens = view.camera.lens
-        self._shape = (lens.height_px, lens.width_px, 3)
-        self.mask: Mask = coverage(view, patches)
-        done = np.zeros(self._shape[:2], dtype=np.float32)
-        self.sources = [patch.source for patch in patches]
-        bands = [band for patch in patches for band in strips(patch, _BAND_ROWS)]
-        self._steps = [_Step.after(done, band) for band in bands]
-        self._scratch_bytes = max((3 * band.valid.size for band in bands), default=0)
-
-    @cached_property
-    def mask_png(self) -> bytes:
-        """The coverage mask as a 1-bit PNG file."""
-        return encode_mask(self.mask)
-
-    @cached_property
+    @property
     def covered(self) -> float:
-        """Share of the virtual pixels that a source sees."""
-        return float(np.count_nonzero(self.mask)) / self.mask.size
-
-    def render(self, pictures: Sequence[Picture]) -> Picture:
-        """The virtual picture (H, W, 3) uint8 of the sources' pictures; black where none sees the pixel."""
-        canvas = np.zeros(self._shape, dtype=np.uint8)
-        scratch = np.empty(self._scratch_bytes, dtype=np.uint8)
-        for step in self._steps:
-            step.draw(pictures[step.source], canvas, scratch)
-        return canvas
+        """Share of the pixels that a source sees."""
+        return cv2.countNonZero(self.mask) / self.mask.size
 
 
-@dataclass(frozen=True, eq=False)
-class _Mix:
-    """The pixels of a step that sources before it have drawn too.
+class Renderer(Protocol):
+    """Renders a virtual rig from whatever sources each frame has."""
 
-    Attributes:
-        box: rows and columns, inside the step's own box.
-        where: (h, w) uint8, non-zero on those pixels.
-        weight_before, weight: (h, w) float32 weights of the running result and of this source.
-    """
+    def render(
+        self, paths: Sequence[Path], sources: Sequence[Source], quality: int, hint: str
+    ) -> Iterator[VirtualPicture]:
+        """The pictures of one frame, in the rig's order.
 
-    box: tuple[slice, slice]
-    where: Mask
-    weight_before: npt.NDArray[np.float32]
-    weight: npt.NDArray[np.float32]
+        Args:
+            paths, sources: file and camera of each source picture.
+            quality: of the JPEG files, 1 to 100.
+            hint: what to do about a source picture that is missing or broken.
 
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """One source drawn over what the sources before it have drawn.
-
-    The running result and this source are mixed in the ratio of their summed weights, so after the
-    last source every pixel is the weighted mean of all (UniDrive eq. 3).
-
-    Attributes:
-        source: index of the source.
-        box: rows and columns of the virtual picture.
-        whole, fraction: source coordinates in OpenCV's fixed-point form (1/32 pixel).
-        fresh: (h, w) uint8, non-zero where this source is the first; None where it is so everywhere.
-        mix: the pixels where it is not.
-    """
-
-    source: int
-    box: tuple[slice, slice]
-    whole: npt.NDArray[np.int16]
-    fraction: npt.NDArray[np.uint16]
-    fresh: Mask | None
-    mix: _Mix | None
-
-    @classmethod
-    def after(cls, done: npt.NDArray[np.float32], patch: Patch) -> _Step:
-        """The step of `patch` after the summed weights `done` (H, W), which it adds its own to."""
-        before = done[patch.box]
-        overlap = patch.valid & (before > 0)
-        fresh = patch.valid & ~overlap
-        mix = None
-        box = bounds(overlap)
-        if box is not None:
-            mix = _Mix(box, overlap[box].astype(np.uint8), before[box].copy(), patch.weight[box].copy())
-        whole, fraction = cv2.convertMaps(patch.pixels, _NO_SECOND_MAP, cv2.CV_16SC2)
-        done[patch.box] += patch.weight
-        return cls(
-            patch.source,
-            patch.box,
-            np.asarray(whole, dtype=np.int16),
-            np.asarray(fraction, dtype=np.uint16),
-            None if fresh.all() else fresh.astype(np.uint8),
-            mix,
-        )
-
-    def draw(self, picture: Picture, canvas: Picture, scratch: Picture) -> None:
-        """Draws the source `picture` (h, w, 3) into its part of `canvas` (H, W, 3).
-
-        `scratch` is memory (n,) for the warped part: taking it anew for every source costs page faults.
+        Raises:
+            PictureError: a source picture is missing, broken or of another size; before the first picture.
         """
-        target = canvas[self.box]
-        alone = self.fresh is None and self.mix is None
-        warped = target if alone else scratch[: target.size].reshape(target.shape)
-        cv2.remap(picture, self.whole, self.fraction, cv2.INTER_LINEAR, dst=warped, borderMode=cv2.BORDER_REPLICATE)
-        if self.mix is not None:
-            shared = target[self.mix.box]
-            mixed = cv2.blendLinear(shared, warped[self.mix.box], self.mix.weight_before, self.mix.weight)
-            cv2.copyTo(mixed, self.mix.where, shared)
-        if self.fresh is not None:
-            cv2.copyTo(warped, self.fresh, target)
+
+
+@dataclass(frozen=True)
+class Toolchain:
+    """What the bytes of the pictures depend on besides the plan.
+
+    Attributes:
+        kernel: `numba`, the fused kernel on YUV planes, or `opencv`.
+        codec: `libturbojpeg`, which decodes to planes, or `simplejpeg`, which does not; with the kernel
+            `opencv` pictures are decoded by simplejpeg and encoded by OpenCV.
+    """
+
+    kernel: str
+    codec: str
+
+    @property
+    def identity(self) -> dict[str, str | dict[str, str]]:
+        """Names and versions, for the plan's digest and the provenance file."""
+        if self.kernel == "opencv":
+            codec = {"decode": f"simplejpeg {simplejpeg.__version__}", "encode": f"opencv {cv2.__version__}"}
+            return {"kernel": "opencv-fixed-point", "codec": codec}
+        name = self.codec if self.codec == "libturbojpeg" else f"simplejpeg {simplejpeg.__version__}"
+        return {"kernel": "numba-planes", "codec": {"decode": name, "encode": name}}
+
+
+def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchain:
+    """The fastest that is here, or what was asked for.
+
+    Raises:
+        UsageError: that is not here.
+    """
+    numba = importlib.util.find_spec("numba") is not None
+    if kernel == "numba" and not numba:
+        raise UsageError("--kernel numba needs the package numba.", hint="pip install 'unidrive[fast]'.")
+    if kernel == "opencv" or not numba:
+        if codec == "libturbojpeg":
+            raise UsageError(
+                "--codec libturbojpeg works with --kernel numba only.",
+                hint="" if numba else "pip install 'unidrive[fast]'.",
+            )
+        return Toolchain("opencv", "simplejpeg")
+    if codec == "libturbojpeg" and not turbojpeg.found():
+        raise UsageError(
+            "--codec libturbojpeg needs the library libturbojpeg, which was not found.",
+            hint="Debian and Ubuntu have it as libturbojpeg0, or libturbojpeg.",
+        )
+    turbo = codec == "libturbojpeg" or (codec == "auto" and turbojpeg.found())
+    return Toolchain("numba", "libturbojpeg" if turbo else "simplejpeg")
+
+
+def open_renderer(toolchain: Toolchain, rig: Rig, choices: WarpChoices) -> Renderer:
+    """The renderer of a virtual rig.
+
+    Raises:
+        RigError: a virtual camera below the ground, or a depth limit below its height.
+    """
+    if toolchain.kernel == "opencv":
+        from unidrive_cli.warp.opencv_kernel import OpenCVRenderer
+
+        return OpenCVRenderer(rig, choices)
+    from unidrive_cli.warp.planar import PlanarRenderer
+
+    return PlanarRenderer(rig, choices, toolchain.codec)

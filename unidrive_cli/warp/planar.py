@@ -1,0 +1,229 @@
+"""The renderer on YUV 4:2:0 planes: files decoded to planes in reused memory, the fused kernel, planes encoded."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import simplejpeg
+
+from unidrive_cli.errors import PictureError
+from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.blending import BORDER_FLOOR, PARALLAX_FLOOR
+from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Pinhole
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp import fused
+from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
+from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
+from unidrive_cli.warp.render import VirtualPicture
+from unidrive_cli.warp.turbojpeg import Planes, TurboJpeg
+
+Bytes = npt.NDArray[np.uint8]
+Sizes = tuple[tuple[int, int], ...]
+
+
+class PlanarRenderer:
+    """Renders with the fused kernel; its memory does not depend on the number of frames."""
+
+    def __init__(self, rig: Rig, choices: WarpChoices, codec: str) -> None:
+        """
+        Args:
+            codec: `libturbojpeg` or `simplejpeg`.
+
+        Raises:
+            RigError: a virtual camera below the ground, or a depth limit below its height.
+        """
+        views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
+        self._canvases = [Canvas(view) for view in views]
+        self._nearest = choices.blend == "nearest"
+        self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
+        self._atlas: Atlas | None = None
+
+    def render(
+        self, paths: Sequence[Path], sources: Sequence[Source], quality: int, hint: str
+    ) -> Iterator[VirtualPicture]:
+        """See `unidrive_cli.warp.render.Renderer`."""
+        sizes = tuple((source.lens.width_px, source.lens.height_px) for source in sources)
+        if self._atlas is None or self._atlas.sizes != sizes:
+            self._atlas = Atlas(sizes)
+        with hinting(hint):
+            for index, path in enumerate(paths):
+                self._atlas.load(index, path, self._turbo)
+        for canvas in self._canvases:
+            canvas.draw(self._atlas, sources, nearest=self._nearest)
+            yield VirtualPicture(self._encode(canvas.planes, quality), canvas.mask)
+
+    def _encode(self, planes: Planes, quality: int) -> bytes:
+        if self._turbo:
+            return self._turbo.encode(planes, quality)
+        return bytes(simplejpeg.encode_jpeg_yuv_planes(*planes, quality, fastdct=False))
+
+
+class Atlas:
+    """The planes of all source pictures of a frame in one block of memory.
+
+    Attributes:
+        sizes: (width, height) in pixels of each picture.
+        layout: (n, LAYOUT_COLUMNS) int64, where the kernel finds them.
+        memory: uint8.
+    """
+
+    def __init__(self, sizes: Sizes) -> None:
+        self.sizes = sizes
+        self.layout = np.zeros((len(sizes), fused.LAYOUT_COLUMNS), dtype=np.int64)
+        offset = 0
+        for row, (width, height) in zip(self.layout, sizes, strict=True):
+            row[fused.SIZES : fused.SIZES + 4] = width, height, _half(width), _half(height)
+            for plane in range(3):
+                chroma = plane > 0
+                plane_width, plane_height = row[fused.SIZES + 2 * chroma : fused.SIZES + 2 * chroma + 2]
+                row[fused.STRIDES + chroma] = plane_width + 2
+                row[fused.PLANES + plane] = offset
+                offset += int(plane_width + 2) * int(plane_height + 2)
+        self.memory = np.zeros(offset, dtype=np.uint8)
+        self._bgr = np.empty(0, dtype=np.uint8)
+
+    def planes(self, index: int) -> Planes:
+        """Y, U, V of a picture, each with two rows and two columns more than its samples."""
+        row = self.layout[index]
+        return _plane(self.memory, row, 0), _plane(self.memory, row, 1), _plane(self.memory, row, 2)
+
+    def load(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
+        """Reads a picture file into its planes.
+
+        Raises:
+            PictureError: missing, broken, or of another size.
+        """
+        data, planes = read_file(path), self.planes(index)
+        check_size(data, self.sizes[index], str(path))
+        if turbo and is_jpeg(data):
+            try:
+                if turbo.is_yuv_420(data):
+                    turbo.decode(data, planes, self.sizes[index])
+                    return
+            except ValueError as error:
+                raise PictureError(f"is a broken JPEG file ({reason(error)}).", where=str(path)) from error
+        width, height = self.sizes[index]
+        if self._bgr.size < 3 * width * height:
+            self._bgr = np.empty(3 * width * height, dtype=np.uint8)
+        picture = decode_picture(data, (width, height), str(path), replicate_chroma=True, memory=self._bgr)
+        fused.split_planes(picture, *planes)
+
+
+class Canvas:
+    """A virtual camera and the memory that its picture is drawn into."""
+
+    def __init__(self, view: VirtualView) -> None:
+        lens = view.camera.pinhole
+        width, height = lens.width_px, lens.height_px
+        chroma = _half(width) * _half(height)
+        ground, centre = view.half_ball.ground, view.half_ball.centre_ego
+        self.view = view
+        self._scene = np.array(
+            [
+                1 / view.half_ball.radius_m,
+                *(-(ground.normal @ view.camera.ego_from_cam[:3, :3]) / float(ground.height_m(centre))),
+                BORDER_FLOOR,
+                PARALLAX_FLOOR,
+                MIN_SHARE,
+            ]
+        )
+        self._xs = [
+            (columns - lens.cx_px) / lens.fx_px for columns in (np.arange(float(width)), _chroma_places(width))
+        ]
+        self._ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
+        self._memory = np.empty(width * height + 2 * chroma + 3 * fused.LANES, dtype=np.uint8)
+        self._covered = np.empty(width * height, dtype=np.uint8)
+        self._scratch: tuple[npt.NDArray[np.generic], ...] = ()
+        self._sources = 0
+
+    @property
+    def mask(self) -> Mask:
+        """(H, W) uint8, 255 where a source saw the pixel."""
+        return self._covered.reshape(len(self._ys[0]), len(self._xs[0]))
+
+    @property
+    def planes(self) -> Planes:
+        """Y (H, W), U and V (H / 2, W / 2, rounded up) of the picture that was drawn last."""
+        planes, start = [], 0
+        for chroma in (0, 1, 1):
+            shape = len(self._ys[chroma]), len(self._xs[chroma])
+            planes.append(self._memory[start : start + shape[0] * shape[1]].reshape(shape))
+            start += shape[0] * shape[1] + fused.LANES
+        return planes[0], planes[1], planes[2]
+
+    def draw(self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool) -> None:
+        """Draws the picture and its mask."""
+        if self._sources != len(sources):
+            self._sources, self._scratch = len(sources), fused.scratch(len(self._xs[0]), len(sources))
+        fused.draw_view(
+            self._xs[0],
+            _padded(self._xs[0]),
+            self._ys[0],
+            self._xs[1],
+            _padded(self._xs[1]),
+            self._ys[1],
+            self._scene,
+            source_models(self.view, sources),
+            atlas.layout,
+            nearest,
+            atlas.memory,
+            self._memory,
+            self._covered,
+            *self._scratch,
+        )
+
+
+def source_models(view: VirtualView, sources: Sequence[Source]) -> Float:
+    """What the kernel knows of each source: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
+    models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
+    for model, source in zip(models, sources, strict=True):
+        lens = source.lens
+        if not isinstance(lens, Pinhole):
+            raise TypeError(f"the fused kernel takes pinhole sources, got {lens.model}")
+        points = (source.cam_from_ego @ view.camera.ego_from_cam)[:3]
+        depth = points[2]
+        u, v = lens.fx_px * points[0] + lens.cx_px * depth, lens.fy_px * points[1] + lens.cy_px * depth
+        low = 0.5 + PIXEL_TOLERANCE
+        right, bottom = lens.width_px - 0.5 + PIXEL_TOLERANCE, lens.height_px - 0.5 + PIXEL_TOLERANCE
+        model[fused.LIMITS : fused.LUMA] = (
+            u + low * depth,
+            right * depth - u,
+            v + low * depth,
+            bottom * depth - v,
+            depth,
+        )
+        model[fused.LUMA : fused.CHROMA] = u, v, depth
+        model[fused.CHROMA : fused.BORDERS] = 0.5 * u - 0.25 * depth, 0.5 * v - 0.25 * depth, depth
+        model[fused.BORDERS : fused.POINT] = _border_normals(lens) @ points
+        model[fused.POINT : fused.ASIDE] = points
+        model[fused.ASIDE, :3] = points[:, :3].T @ points[:, 3]
+    return models
+
+
+_border_normals = functools.lru_cache(maxsize=256)(Pinhole.border_normals)
+
+
+def _half(size_px: int) -> int:
+    """Samples of a 4:2:0 chroma plane along a side of the picture."""
+    return (size_px + 1) // 2
+
+
+def _chroma_places(size_px: int) -> Float:
+    """Pixel coordinates of the chroma samples along a side: each stands between two pixels."""
+    return 2.0 * np.arange(_half(size_px)) + 0.5
+
+
+def _padded(xs: Float) -> npt.NDArray[np.float32]:
+    return np.append(xs, np.zeros(fused.LANES)).astype(np.float32)
+
+
+def _plane(memory: Bytes, row: npt.NDArray[np.int64], plane: int) -> Bytes:
+    chroma = plane > 0
+    start, stride = row[fused.PLANES + plane], row[fused.STRIDES + chroma]
+    rows = row[fused.SIZES + 2 * chroma + 1] + 2
+    return memory[start : start + rows * stride].reshape(rows, stride)
