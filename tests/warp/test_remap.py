@@ -15,6 +15,7 @@ from unidrive_cli.geometry.poses import inverse, pose, rotation_from_yaw_pitch_r
 from unidrive_cli.geometry.scene import GroundPlane
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
+from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.opencv_kernel import OpenCVRenderer
 from unidrive_cli.warp.pictures import Picture
 from unidrive_cli.warp.remap import Source, VirtualView, build_patches, coverage, dominant_sources
