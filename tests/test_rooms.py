@@ -20,17 +20,19 @@ FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*
 MAY_IMPORT = {  # besides errors and the room itself
     "errors": "",
     "workers": "",
+    "cluster": "",
     "geometry": "",
     "rig": "geometry",
     "tables": "geometry rig",
     "check": "geometry rig tables",
     "warp": "geometry rig",
-    "convert": "workers geometry rig tables check warp",
+    "convert": "workers cluster geometry rig tables check warp",
     "measure": "geometry rig tables warp",
     "optimize": "geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
     "report": "geometry rig tables check warp measure",
-    "cli": "workers geometry rig tables check warp convert measure optimize synth report",
+    "machine": "workers cluster geometry rig tables check warp convert synth",
+    "cli": "workers cluster geometry rig tables check warp convert measure optimize synth report machine",
 }
 NOT_IN_GEOMETRY = {"json", "cv2", "logging", "pathlib", "os", "yaml", "ruamel", "msgspec", "io", "nuscenes"}
 ONLY_IN_CLI = {"typer", "click"}

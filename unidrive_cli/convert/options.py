@@ -14,6 +14,7 @@ VerifyLevel = Literal["sample", "full"]
 VisibilityRule = Literal["lower", "keep"]
 UnseenBoxes = Literal["keep", "drop"]
 OnError = Literal["stop", "skip"]
+Backend = Literal["loky", "dask"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Options(WarpChoices):
         on_error: `stop` at the first broken sample, or `skip` it.
         verify: `sample` of the pictures decoded at the end, or `full`.
         jobs: worker processes; 0 works in this process.
+        backend: `loky`, processes on this machine, or `dask`, the workers of a cluster.
+        scheduler: address of the Dask scheduler; empty without `dask`.
     """
 
     quality: int = 95
@@ -42,6 +45,8 @@ class Options(WarpChoices):
     on_error: OnError = "stop"
     verify: VerifyLevel = "sample"
     jobs: int = 0
+    backend: Backend = "loky"
+    scheduler: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.quality <= 100:
@@ -49,9 +54,13 @@ class Options(WarpChoices):
         super().__post_init__()
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
+        if self.backend == "dask" and not self.scheduler:
+            raise UsageError("--backend dask needs the address of a scheduler.", hint="Give it with --scheduler.")
+        if self.scheduler and self.backend != "dask":
+            raise UsageError(f"--scheduler {self.scheduler} needs --backend dask.")
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "on_error")
+        apart = ("jobs", "verify", "on_error", "backend", "scheduler")
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

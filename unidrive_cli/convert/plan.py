@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
 import re
 import stat
 from collections import Counter
@@ -14,15 +12,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import simplejpeg
 
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
+from unidrive_cli.convert.toolchain import toolchain
 from unidrive_cli.convert.units import SKIP_HINT, Frame
 from unidrive_cli.errors import DatasetError, PictureError, RigError
 from unidrive_cli.geometry.arrays import Float
@@ -30,7 +27,7 @@ from unidrive_cli.geometry.poses import relative
 from unidrive_cli.geometry.scene import HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.destination import RESERVED
+from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
@@ -101,14 +98,13 @@ class Plan:
             "source": {"version": self.dataset.version, "digest": self.dataset.digest},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity(),
-            "codec": {"decode": f"simplejpeg {simplejpeg.__version__}", "encode": f"opencv {cv2.__version__}"},
-            "kernel": "opencv-fixed-point",
+            **toolchain(),
         }
 
     @property
     def digest(self) -> str:
         """SHA-256 (hex) of `identity`."""
-        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+        return digest_of(self.identity)
 
     def frame(self, unit: Unit) -> Frame:
         """The unit as its worker needs it: files, cameras and boxes, no tables.
