@@ -59,8 +59,10 @@ def in_cluster(work: Callable[[Item], Outcome], items: Iterable[Item], scheduler
             batch_size=1,
             pre_dispatch=max(IN_FLIGHT, 2 * cores),
         )
+        outcomes = parallel(joblib.delayed(_on_worker)(work, item) for item in items)
         try:
-            yield from parallel(joblib.delayed(_on_worker)(work, item) for item in items)
+            for outcome in outcomes:
+                yield outcome  # noqa: UP028 (`yield from` would close `outcomes` with a warning)
         except UnidriveError:
             raise
         except KilledWorker as error:
@@ -80,6 +82,10 @@ def in_cluster(work: Callable[[Item], Outcome], items: Iterable[Item], scheduler
                     f"the connection to the scheduler {scheduler} was lost.", hint=_CONTINUES
                 ) from error
             raise
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that work is left when nobody asks on
+                outcomes.close()
 
 
 class _Backend(DaskDistributedBackend):  # type: ignore[misc]
