@@ -61,8 +61,8 @@ def in_cluster(work: Callable[[Item], Outcome], items: Iterable[Item], scheduler
         )
         outcomes = parallel(joblib.delayed(_on_worker)(work, item) for item in items)
         try:
-            for outcome in outcomes:
-                yield outcome  # noqa: UP028 (`yield from` would close `outcomes` with a warning)
+            for outcome in outcomes:  # noqa: UP028 (`yield from` would close `outcomes` with a warning)
+                yield outcome
         except UnidriveError:
             raise
         except KilledWorker as error:

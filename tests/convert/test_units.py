@@ -73,7 +73,7 @@ def test_a_machine_that_sees_another_conversion_in_dst_is_refused(
 
 
 def test_a_machine_that_does_not_see_src_is_refused(begun: tuple[Job, dict[str, Any]], tmp_path: Path) -> None:
-    with pytest.raises(UnidriveError, match="v1.0-mini: .* does not see this folder"):
+    with pytest.raises(UnidriveError, match=r"v1\.0-mini: .* does not see this folder"):
         check_machine(begun[0], tmp_path / "v1.0-mini")
 
 
