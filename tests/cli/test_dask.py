@@ -75,6 +75,40 @@ def test_what_a_lost_cluster_has_done_is_kept(bench: Bench, tmp_path: Path) -> N
     assert done.items() <= {path: path.stat().st_mtime_ns for path in (bench.dst / "samples").rglob("*.jpg")}.items()
 
 
+def test_interrupted_it_says_one_sentence(bench: Bench, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    from tests.clusters import cluster, wait_until
+
+    with cluster(tmp_path, workers=1) as machines:
+        arguments = [bench.src, bench.dst, "--rig", bench.rig, "--backend", "dask", "--scheduler", machines.address]
+        process = subprocess.Popen([SCRIPT, "convert", *map(str, arguments)], stderr=subprocess.PIPE, text=True)
+        wait_until(lambda: receipts(bench.dst) >= 2)
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=120)
+        assert stderr == "unidrive: interrupted. The same command continues where this one stopped.\n"
+        assert process.returncode == 130
+        assert bench.convert(*map(str, arguments[4:])).code == 0
+
+
+@pytest.mark.parametrize("code", [1, 3])
+def test_a_broken_picture_is_said_as_without_a_cluster(bench: Bench, tmp_path: Path, code: int) -> None:
+    """Its end is cut off, which only the worker finds out."""
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    from tests.clusters import cluster
+
+    picture = bench.picture(0)
+    picture.write_bytes(picture.read_bytes()[:-200])
+    options = ("--on-error", "stop" if code == 3 else "skip")
+    with cluster(tmp_path, workers=1) as machines:
+        run = bench.convert("--backend", "dask", "--scheduler", machines.address, *options)
+    here = bench.convert(*options, dst=bench.folder / "here")
+    assert (run.code, run.stderr) == (here.code, here.stderr)
+    assert run.code == code
+    assert picture.name in run.said
+    if code == 1:
+        assert tree(bench.dst, apart=("run.json",)) == tree(bench.folder / "here", apart=("run.json",))
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -8,12 +8,12 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
 
-from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, write_run
+from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, relative, write_run
 from unidrive_cli.convert.parts import Part
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
@@ -115,6 +115,7 @@ def convert_part(plan: Plan, destination_root: Path, part: Part, *, progress: Pr
             return PartSummary(str(part), len(units), [], 0, already_complete=True)
         destination = join(root, plan.identity)
         receipts, failures = _run_units(plan, units, destination, executor, progress)
+        failures = [replace(failure, sentence=relative(plan, failure.sentence)) for failure in failures]
         for failure in failures:
             destination.write(_failure_name(failure.sample_token), json.dumps(asdict(failure)).encode())
         for token in receipts:
