@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,7 +39,7 @@ def test_the_readme_names_every_shipped_rig() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_options_that_are_named_exist(page: Path) -> None:
     commands = [str(command.name) for command in app.registered_commands]
-    assert {"convert", "inspect-rig", "measure", "synth"} <= set(commands)
+    assert {"convert", "finalise", "inspect-rig", "measure", "synth", "doctor"} <= set(commands)
     helps = "".join(CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "300"}).output for name in commands)
     helps = re.sub(r"\x1b\[[0-9;]*m", "", helps)
     pages_own = {
@@ -44,8 +47,25 @@ def test_options_that_are_named_exist(page: Path) -> None:
         for file in (ROOT / "benchmarks").glob("*.py")
         for name in re.findall(r"--[a-z][a-z-]+", file.read_text())
     }
-    for option in set(re.findall(r"--[a-z][a-z-]+", page.read_text())) - pages_own:
+    others = r"^(?:#SBATCH|dask|sbatch)\b.*|`(?:dask|sbatch)\b[^`\n]*`|`--n(?:workers|threads)`"
+    text = re.sub(others, "", page.read_text(), flags=re.MULTILINE)
+    for option in set(re.findall(r"--[a-z][a-z-]+", text)) - pages_own:
         assert option in helps, option
+
+
+def test_the_array_job_of_the_docs_runs(tmp_path: Path) -> None:
+    """Both scripts as they stand, as SLURM would run them: once per task, then the one that depends on them."""
+    source, destination = tmp_path / "src", tmp_path / "dst"
+    write_painted(source, cameras=nuscenes_like_cameras(scale=0.05), samples_per_scene=2)
+    parts, finalise = (
+        text for text in code_blocks(ROOT / "docs" / "cluster.md", "sh") if text.startswith("#!/bin/bash")
+    )
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    env = {**os.environ, "PATH": path, "SRC": str(source), "DST": str(destination), "SLURM_ARRAY_TASK_COUNT": "2"}
+    for script, task in ((parts, "1"), (parts, "2"), (finalise, "")):
+        assert not (destination / "unidrive.json").exists()
+        subprocess.run(["bash", "-c", script], env={**env, "SLURM_ARRAY_TASK_ID": task}, check=True, timeout=120)
+    assert (destination / "unidrive.json").is_file()
 
 
 def test_make_targets_that_the_readme_names_exist() -> None:

@@ -20,17 +20,19 @@ FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*
 MAY_IMPORT = {  # besides errors and the room itself
     "errors": "",
     "workers": "",
+    "cluster": "",
     "geometry": "",
     "rig": "geometry",
     "tables": "geometry rig",
     "check": "geometry rig tables",
     "warp": "geometry rig",
-    "convert": "workers geometry rig tables check warp",
+    "convert": "workers cluster geometry rig tables check warp",
     "measure": "geometry rig tables warp",
     "optimize": "geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
     "report": "geometry rig tables check warp measure",
-    "cli": "workers geometry rig tables check warp convert measure optimize synth report",
+    "machine": "workers cluster geometry rig tables check warp convert synth",
+    "cli": "workers cluster geometry rig tables check warp convert measure optimize synth report machine",
 }
 NOT_IN_GEOMETRY = {"json", "cv2", "logging", "pathlib", "os", "yaml", "ruamel", "msgspec", "io", "nuscenes"}
 ONLY_IN_CLI = {"typer", "click"}
@@ -39,6 +41,9 @@ TYPE_MAKERS = {"TypeVar", "ParamSpec", "NewType"}
 MUTATORS = {"append", "extend", "insert", "remove", "pop", "popitem", "clear", "update", "setdefault", "add"}
 DECLARED = {  # the only things alive at module level, each on purpose
     ("cli/main.py", "app"),  # typer collects the commands on it while it is imported
+    ("warp/planar.py", "_border_normals"),  # memo of a pure function
+    ("warp/render.py", "_has_numba"),  # what is installed does not change while a process runs
+    ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process
 }
 

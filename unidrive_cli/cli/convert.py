@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -31,6 +32,7 @@ from unidrive_cli.cli.shared import (
     warp_choices,
 )
 from unidrive_cli.convert.options import (
+    Backend,
     Link,
     Masks,
     OnError,
@@ -39,11 +41,28 @@ from unidrive_cli.convert.options import (
     VerifyLevel,
     VisibilityRule,
 )
-from unidrive_cli.warp.choices import Blend
+from unidrive_cli.errors import UsageError
+from unidrive_cli.warp.choices import Blend, Codec, Kernel
 
 if TYPE_CHECKING:
-    from unidrive_cli.convert.finalise import Summary
+    from unidrive_cli.convert.finalise import Failure, Summary
+    from unidrive_cli.convert.parts import Part
     from unidrive_cli.convert.plan import Plan
+    from unidrive_cli.convert.run import PartSummary
+
+
+CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
+QUALITY = option(95, "--quality", help="JPEG quality, 1 to 100.")
+MASKS = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none.")
+VISIBILITY = option("lower", "--visibility", help="Lower a box's visibility where the virtual rig shows less of it.")
+UNSEEN_BOXES = option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows.")
+LINK = option(
+    "hardlink", "--link", help="How unchanged files come into DST; links share SRC's data: treat as read-only."
+)
+ON_ERROR = option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out.")
+KERNEL = option("auto", "--kernel", help="What warps: the fused kernel (numba), or OpenCV.")
+CODEC = option("auto", "--codec", help="What decodes and encodes for the kernel numba.")
+VERIFY = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all.")
 
 
 @guarded
@@ -53,27 +72,26 @@ def convert_command(
     rig: str = option(..., "--rig", help=RIG_HELP),
     version: str | None = VERSION,
     scene: list[str] = SCENES,
-    camera: list[str] = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False),
+    camera: list[str] = CAMERAS,
     depth_limit: float | None = DEPTH_LIMIT,
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
-    quality: int = option(95, "--quality", help="JPEG quality, 1 to 100."),
-    masks: Masks = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none."),
-    visibility: VisibilityRule = option(
-        "lower",
-        "--visibility",
-        help="Lower a box's visibility where the virtual rig shows less of it.",
-    ),
-    unseen_boxes: UnseenBoxes = option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows."),
-    link: Link = option(
-        "hardlink",
-        "--link",
-        help="How unchanged files come into DST; links share SRC's data: treat as read-only.",
-    ),
+    quality: int = QUALITY,
+    masks: Masks = MASKS,
+    visibility: VisibilityRule = VISIBILITY,
+    unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
+    link: Link = LINK,
     jobs: int | None = JOBS,
-    on_error: OnError = option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out."),
-    verify: VerifyLevel = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
+    backend: Backend = option("loky", "--backend", help="Processes on this machine, or a Dask cluster's workers."),
+    scheduler: str = option("", "--scheduler", help="Address of the Dask scheduler, with --backend dask."),
+    part: str | None = option(
+        None, "--part", help="Only the i-th of n shares, as i/n; `finalise` follows when all are done."
+    ),
+    on_error: OnError = ON_ERROR,
+    verify: VerifyLevel = VERIFY,
+    kernel: Kernel = KERNEL,
+    codec: Codec = CODEC,
     dry_run: bool = option(False, "--dry-run", help="Say what would be done; write nothing."),
     force: bool = option(False, "--force", help="Replace a DST that holds another conversion of ours."),
     as_json: bool = JSON,
@@ -84,22 +102,19 @@ def convert_command(
 
     Every option can also be given as UNIDRIVE_<OPTION> in the environment, or in the --config file.
     """
-    from unidrive_cli.convert.plan import make_plan
-    from unidrive_cli.convert.run import convert
-    from unidrive_cli.tables.dataset import open_dataset
-    from unidrive_cli.tables.destination import (
-        check_apart,
-        check_destination,
-        free_bytes,
-        resolved_destination,
-        same_device,
-    )
-    from unidrive_cli.tables.rig_of_dataset import resolve_rig
-    from unidrive_cli.warp.pictures import size_of_file
+    from unidrive_cli.convert.parts import part_of
+    from unidrive_cli.convert.run import convert, convert_part
+    from unidrive_cli.tables.destination import check_destination, free_bytes, resolved_destination, same_device
 
-    virtual_rig, rig_notes = resolve_rig(rig, size_of_file=size_of_file)
-    options = Options(
-        **asdict(warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)),
+    share = None if part is None else part_of(part)
+    if share and force:
+        raise UsageError("--part and --force exclude each other: other parts may be at work in DST.")
+    plan = planned(
+        src.absolute() if backend == "dask" else src,
+        dst,
+        rig,
+        version,
+        (depth_limit, ground_height, blend, ego_motion),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
         cameras=tuple(sorted(set(camera))),
@@ -109,38 +124,77 @@ def convert_command(
         link=link,
         on_error=on_error,
         verify=verify,
+        kernel=kernel,
+        codec=codec,
         jobs=jobs_of(jobs),
+        backend=backend,
+        scheduler=scheduler,
     )
+    if dry_run:
+        check_destination(resolved_destination(dst), plan.identity, force=force)
+        _say_plan(plan, dst, as_json, share, free=free_bytes(dst), links=same_device(src, dst))
+        return
+    if plan.options.link == "hardlink" and not same_device(src, dst):
+        typer.echo("note: DST is on another file system: files that do not change are copied, not linked", err=True)
+    if share:
+        with Progress("samples", sys.stderr) as progress:
+            done = convert_part(plan, dst, share, progress=progress)
+        if as_json:
+            typer.echo(json.dumps(asdict(done)))
+        else:
+            _say_part(done, dst)
+        leave_out(done.failures)
+        return
+    with Progress("samples", sys.stderr) as progress:
+        summary = convert(plan, dst, force=force, progress=progress)
+    say_summary(summary, plan, dst, as_json)
+
+
+def planned(
+    src: Path,
+    dst: Path,
+    rig: str,
+    version: str | None,
+    warp: tuple[float | None, float | None, Blend, bool],
+    **chosen: Any,
+) -> Plan:
+    """The plan of a conversion, from a command's options; what was found out about the rig goes to stderr.
+
+    Args:
+        warp: depth limit, ground height, blend, ego motion, as given.
+        chosen: the other `Options`.
+    """
+    from unidrive_cli.convert.plan import make_plan
+    from unidrive_cli.tables.dataset import open_dataset
+    from unidrive_cli.tables.destination import check_apart
+    from unidrive_cli.tables.rig_of_dataset import resolve_rig
+    from unidrive_cli.warp.pictures import size_of_file
+
+    virtual_rig, rig_notes = resolve_rig(rig, size_of_file=size_of_file)
+    options = Options(**asdict(warp_choices(virtual_rig, *warp)), **chosen)
     check_apart(src, dst)
     plan = make_plan(open_dataset(src, version), virtual_rig, options)
     for note in rig_notes:
         typer.echo(f"note: {note}", err=True)
-    if dry_run:
-        check_destination(resolved_destination(dst), plan.identity, force=force)
-        _say_plan(plan, dst, as_json, free=free_bytes(dst), links=same_device(src, dst))
-        return
-    if options.link == "hardlink" and not same_device(src, dst):
-        typer.echo("note: DST is on another file system: files that do not change are copied, not linked", err=True)
-    with Progress("samples", sys.stderr) as progress:
-        summary = convert(plan, dst, force=force, progress=progress)
-    if as_json:
-        typer.echo(json.dumps(asdict(summary)))
-    else:
-        _say_summary(summary, plan, dst)
-    if summary.failures:
-        for failure in summary.failures:
-            typer.echo(f"left out: sample {failure.sample_token}: {failure.sentence}", err=True)
+    return plan
+
+
+def leave_out(failures: Sequence[Failure]) -> None:
+    """Says which samples were left out; that is exit code 1."""
+    for failure in failures:
+        typer.echo(f"left out: sample {failure.sample_token}: {failure.sentence}", err=True)
+    if failures:
         raise typer.Exit(1)
 
 
-def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -> None:
+def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free: int, links: bool) -> None:
     estimate = plan.estimated_bytes()
     scenes = len({unit.scene.token for unit in plan.units})
     sources = sum(len(unit.sources) for unit in plan.units)
     annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
     sizes = sorted({f"{camera.lens.width_px}x{camera.lens.height_px}" for camera in plan.rig.cameras})
     copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
-    document = {
+    document: dict[str, Any] = {
         "samples": len(plan.units),
         "scenes": scenes,
         "pictures": plan.picture_count,
@@ -153,6 +207,13 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -
         "copies": copies,
         "notes": plan.notes,
     }
+    if share:
+        units = share.of(plan.units)
+        document["part"] = {
+            "part": str(share),
+            "samples": len(units),
+            "scenes": list(dict.fromkeys(unit.scene.name for unit in units)),
+        }
     if as_json:
         typer.echo(json.dumps(document))
         return
@@ -168,9 +229,35 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, *, free: int, links: bool) -
     if copies:
         why = "" if links else ": DST is on another file system, where links cannot lead"
         typer.echo(f"files that do not change (lidar, radar, maps) are copied{why}; their size is not counted above")
+    if share:
+        units = share.of(plan.units)
+        scenes = len({unit.scene.token for unit in units})
+        typer.echo(f"part {share}: {plural(len(units), 'sample')} of {plural(scenes, 'scene')}")
     for note in plan.notes:
         typer.echo(f"note: {note}")
     typer.echo("nothing was written (--dry-run)")
+
+
+def _say_part(done: PartSummary, dst: Path) -> None:
+    if done.already_complete:
+        typer.echo(f"{dst} already holds this conversion, complete; nothing was changed.")
+        return
+    converted = done.samples - len(done.failures)
+    typer.echo(f"{dst}: part {done.part}: {converted:,} of {plural(done.samples, 'sample')} converted")
+    if done.left:
+        typer.echo(f"{plural(done.left, 'sample')} of the whole not converted yet; when all are, finish with")
+    else:
+        typer.echo("all samples of the whole are converted; finish with")
+    typer.echo("unidrive finalise SRC DST and the same options")
+
+
+def say_summary(summary: Summary, plan: Plan, dst: Path, as_json: bool) -> None:
+    """Says what a conversion did; samples that were left out are exit code 1."""
+    if as_json:
+        typer.echo(json.dumps(asdict(summary)))
+    else:
+        _say_summary(summary, plan, dst)
+    leave_out(summary.failures)
 
 
 def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:

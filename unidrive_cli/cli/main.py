@@ -6,6 +6,8 @@ import typer
 
 from unidrive_cli import __version__
 from unidrive_cli.cli.convert import convert_command
+from unidrive_cli.cli.doctor import doctor_command
+from unidrive_cli.cli.finalise import finalise_command
 from unidrive_cli.cli.inspect_rig import inspect_rig_command
 from unidrive_cli.cli.measure import measure_command
 from unidrive_cli.cli.synth import synth_command
@@ -16,6 +18,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -34,9 +37,11 @@ def _program(
 
 
 app.command("convert")(convert_command)
+app.command("finalise")(finalise_command)
 app.command("inspect-rig")(inspect_rig_command)
 app.command("measure")(measure_command)
 app.command("synth")(synth_command)
+app.command("doctor")(doctor_command)
 
 
 def run() -> None:

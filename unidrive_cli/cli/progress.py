@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
-from tqdm import tqdm
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 _LINE_EVERY_S = 30.0
 
@@ -29,6 +30,8 @@ class Progress:
     def __call__(self, done: int, total: int) -> None:
         if self._stream.isatty():
             if self._bar is None:
+                from tqdm import tqdm
+
                 self._bar = tqdm(total=total, initial=done, unit=" " + self._what, file=self._stream)
             self._bar.update(done - self._bar.n)
         elif time.monotonic() - self._last_line >= _LINE_EVERY_S:

@@ -150,8 +150,8 @@ def warp_choices(
 
 
 def jobs_of(jobs: int | None) -> int:
-    """The number of jobs: one per core where none is given."""
-    return (os.cpu_count() or 1) if jobs is None else jobs
+    """The number of jobs: where none is given, one per core that this process may use."""
+    return len(os.sched_getaffinity(0)) if jobs is None else jobs
 
 
 def say_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> None:

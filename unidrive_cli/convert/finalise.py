@@ -123,6 +123,11 @@ def read_summary(destination: Destination) -> Summary:
     return Summary(counts=counts, failures=failures, already_complete=True, **kept)
 
 
+def relative(plan: Plan, sentence: str) -> str:
+    """The same words wherever the source lies."""
+    return sentence.replace(f"{plan.dataset.root}/", "")
+
+
 def write_run(destination: Destination, summary: Summary) -> None:
     """Writes `run.json`, the one file that may differ between two runs."""
     run = {
@@ -202,10 +207,6 @@ def _summary(
     failures: list[Failure],
     notes: list[str],
 ) -> Summary:
-    def relative(sentence: str) -> str:
-        """The same bytes wherever the source lies."""
-        return sentence.replace(f"{plan.dataset.root}/", "")
-
     kept = [receipts[unit.sample.token] for unit in plan.units if unit.sample.token in receipts]
     means = np.mean([receipt.covered for receipt in kept], axis=0) if kept else np.zeros(len(plan.rig.cameras))
     covered = {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)}
@@ -218,8 +219,8 @@ def _summary(
         sum(sum(receipt.picture_bytes) for receipt in kept),
         carried,
         missing,
-        [Failure(failure.sample_token, relative(failure.sentence)) for failure in failures],
-        [relative(note) for note in (*plan.notes, *notes)],
+        [Failure(failure.sample_token, relative(plan, failure.sentence)) for failure in failures],
+        [relative(plan, note) for note in (*plan.notes, *notes)],
     )
 
 

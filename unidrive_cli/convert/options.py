@@ -14,6 +14,7 @@ VerifyLevel = Literal["sample", "full"]
 VisibilityRule = Literal["lower", "keep"]
 UnseenBoxes = Literal["keep", "drop"]
 OnError = Literal["stop", "skip"]
+Backend = Literal["loky", "dask"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Options(WarpChoices):
         verify: `sample` of the pictures decoded at the end, or `full`.
         jobs: worker processes; 0 works in this process.
         kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
+        backend: `loky`, processes on this machine, or `dask`, the workers of a cluster.
+        scheduler: address of the Dask scheduler; empty without `dask`.
     """
 
     quality: int = 95
@@ -45,6 +48,8 @@ class Options(WarpChoices):
     jobs: int = 0
     kernel: Kernel = "auto"
     codec: Codec = "auto"
+    backend: Backend = "loky"
+    scheduler: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.quality <= 100:
@@ -52,9 +57,13 @@ class Options(WarpChoices):
         super().__post_init__()
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
+        if self.backend == "dask" and not self.scheduler:
+            raise UsageError("--backend dask needs the address of a scheduler.", hint="Give it with --scheduler.")
+        if self.scheduler and self.backend != "dask":
+            raise UsageError(f"--scheduler {self.scheduler} needs --backend dask.")
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "on_error", "kernel", "codec")
+        apart = ("jobs", "verify", "on_error", "backend", "scheduler", "kernel", "codec")
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
 import re
 import stat
 from collections import Counter
@@ -28,7 +26,7 @@ from unidrive_cli.geometry.poses import relative
 from unidrive_cli.geometry.scene import HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.destination import RESERVED
+from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
@@ -108,7 +106,7 @@ class Plan:
     @property
     def digest(self) -> str:
         """SHA-256 (hex) of `identity`."""
-        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+        return digest_of(self.identity)
 
     def frame(self, unit: Unit) -> Frame:
         """The unit as its worker needs it: files, cameras and boxes, no tables.

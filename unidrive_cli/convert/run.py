@@ -1,20 +1,27 @@
-"""Carries a plan out: units over workers, then finalise. The one call behind `unidrive convert`."""
+"""Carries a plan out: units over workers, then finalise. The calls behind `unidrive convert` and `finalise`."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import json
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
 
-from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, write_run
+from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, relative, write_run
+from unidrive_cli.convert.parts import Part
 from unidrive_cli.convert.plan import Plan, Unit
-from unidrive_cli.convert.units import Frame, Job, Receipt, read_receipt, run_unit
+from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
 from unidrive_cli.convert.verify import verify
-from unidrive_cli.errors import CheckError, DatasetError, UnidriveError
+from unidrive_cli.errors import CheckError, DatasetError, UnidriveError, UsageError
+from unidrive_cli.tables.converted import WORK
 from unidrive_cli.tables.destination import (
+    RECEIPTS,
     Destination,
     abandon,
     begin,
@@ -22,13 +29,38 @@ from unidrive_cli.tables.destination import (
     check_destination,
     finish,
     held,
+    join,
     resolved_destination,
     sweep,
 )
+from unidrive_cli.warp.render import prepare
 from unidrive_cli.workers import in_workers
 
 Progress = Callable[[int, int], None]
 """Called with (finished units, all units)."""
+Work = Callable[[Frame | Failure], Receipt | Failure]
+Executor = Callable[[Work, Sequence[Unit], Iterable[Frame | Failure]], Iterator[Receipt | Failure]]
+FAILURES = "failures"
+"""Below the work folder: what a part could not convert, for the finalise that comes later."""
+
+
+@dataclass(frozen=True)
+class PartSummary:
+    """What was done of a conversion's share.
+
+    Attributes:
+        part: `i/n`.
+        samples: how many samples the share has.
+        failures: units of it that were left out.
+        left: samples of the whole conversion that are not converted yet.
+        already_complete: DST is finished; nothing was done.
+    """
+
+    part: str
+    samples: int
+    failures: list[Failure]
+    left: int
+    already_complete: bool = False
 
 
 def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress: Progress | None = None) -> Summary:
@@ -49,75 +81,189 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
         PictureError, DatasetError: a source picture is broken (with `on_error` stop).
         CheckError: the verification failed, or no unit succeeded.
     """
-    check_apart(plan.dataset.root, destination_root)
-    root = resolved_destination(destination_root)
-    same = check_destination(root, plan.identity, force=force)
+    started = time.monotonic()
+    root, same = _checked(plan, destination_root, force=force)
+    executor = _executor(plan)
     with held(root):
         if same and not force and Destination(root).finished:
             summary = read_summary(Destination(root))
             if not summary.failures:
-                sweep(Destination(root), keep_work=False)
-                summary.verified = verify(plan, root)
-                return summary
-        return _convert(plan, begin(root, plan.identity, same=same, force=force), progress)
+                return _verified_again(plan, root, summary)
+        destination = begin(root, plan.identity, same=same, force=force)
+        try:
+            receipts, failures = _run_units(plan, plan.units, destination, executor, progress)
+            return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
+        except BaseException:
+            abandon(destination)
+            raise
 
 
-def _convert(plan: Plan, destination: Destination, progress: Progress | None) -> Summary:
+def convert_part(plan: Plan, destination_root: Path, part: Part, *, progress: Progress | None = None) -> PartSummary:
+    """Converts a share of the units and does not finalise; other parts may do the same, on other machines.
+
+    Args:
+        destination_root: DST; must not exist, be empty, or hold this very conversion.
+        progress: told after every unit, about the share.
+
+    Raises:
+        UsageError, OutputError, PictureError, DatasetError: as `convert`.
+    """
+    root, same = _checked(plan, destination_root, force=False)
+    executor = _executor(plan)
+    units = part.of(plan.units)
+    with held(root, shared=True):
+        if same and Destination(root).finished and not read_summary(Destination(root)).failures:
+            return PartSummary(str(part), len(units), [], 0, already_complete=True)
+        destination = join(root, plan.identity)
+        receipts, failures = _run_units(plan, units, destination, executor, progress)
+        failures = [replace(failure, sentence=relative(plan, failure.sentence)) for failure in failures]
+        for failure in failures:
+            destination.write(_failure_name(failure.sample_token), json.dumps(asdict(failure)).encode())
+        for token in receipts:
+            (root / _failure_name(token)).unlink(missing_ok=True)
+        done = {path.name for path in (destination.work / RECEIPTS).glob("*.json")}
+        left = sum(Path(receipt_name(unit.sample.token)).name not in done for unit in plan.units)
+        return PartSummary(str(part), len(units), failures, left)
+
+
+def finalise_parts(plan: Plan, destination_root: Path) -> Summary:
+    """Turns a DST whose parts are all done into a dataset.
+
+    Returns:
+        What was done. A DST that is finished already is verified again and left as it is.
+
+    Raises:
+        UsageError: DST holds nothing to finalise, or a conversion with other options.
+        OutputError: DST cannot be written, belongs to somebody else, or parts are at work there.
+        CheckError: samples are not converted yet, or the verification failed.
+    """
     started = time.monotonic()
-    try:
-        receipts, failures = _run_units(plan, destination, progress)
-        rendered = time.monotonic()
-        if not receipts:
-            raise CheckError(f"not one sample could be converted; the first: {failures[0].sentence}")
-        summary = finalise(plan, destination, receipts, failures)
-    except BaseException:
-        abandon(destination)
-        raise
-    summary.seconds = {
-        "units": round(rendered - started, 3),
-        "finalise": round(time.monotonic() - rendered, 3),
-    }
+    root, same = _checked(plan, destination_root, force=False)
+    if not same:
+        raise UsageError(
+            f"{root} holds no conversion that could be finalised.", hint="`unidrive convert` makes one."
+        )
+    with held(root):
+        if Destination(root).finished:
+            return _verified_again(plan, root, read_summary(Destination(root)))
+        destination = begin(root, plan.identity, same=True, force=False)
+        receipts, missing = _receipts(plan, plan.units, destination)
+        failures = [failure for unit in missing if (failure := _recorded(destination, unit))]
+        if missing and (len(failures) < len(missing) or plan.options.on_error == "stop"):
+            raise _missing_error(root, missing, failures)
+        return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
+
+
+def _checked(plan: Plan, destination_root: Path, *, force: bool) -> tuple[Path, bool]:
+    """DST resolved, and whether it already holds this very conversion, whole or in part."""
+    check_apart(plan.dataset.root, destination_root)
+    root = resolved_destination(destination_root)
+    return root, check_destination(root, plan.identity, force=force)
+
+
+def _verified_again(plan: Plan, root: Path, summary: Summary) -> Summary:
+    sweep(Destination(root), keep_work=bool(summary.failures))
+    summary.verified = verify(plan, root)
+    return summary
+
+
+def _finalised(
+    plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure], seconds: float
+) -> Summary:
+    started = time.monotonic()
+    if not receipts:
+        raise CheckError(f"not one sample could be converted; the first: {failures[0].sentence}")
+    summary = finalise(plan, destination, receipts, failures)
+    summary.seconds = {"units": round(seconds, 3), "finalise": round(time.monotonic() - started, 3)}
     write_run(destination, summary)
+    shutil.rmtree(destination.work / FAILURES, ignore_errors=True)
     finish(destination, keep_work=bool(failures))
     return summary
 
 
-def _run_units(
-    plan: Plan, destination: Destination, progress: Progress | None
-) -> tuple[dict[str, Receipt], list[Failure]]:
+def _failure_name(sample_token: str) -> str:
+    return f"{WORK}/{FAILURES}/{Path(receipt_name(sample_token)).name}"
+
+
+def _recorded(destination: Destination, unit: Unit) -> Failure | None:
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        record = (destination.root / _failure_name(unit.sample.token)).read_bytes()
+        return Failure(**json.loads(record))
+    return None
+
+
+def _missing_error(root: Path, missing: Sequence[Unit], failures: Sequence[Failure]) -> CheckError:
+    first = ", ".join(f"{unit.sample.token} of {unit.scene.name}" for unit in missing[:3])
+    more = ", ..." if len(missing) > 3 else ""
+    if len(failures) < len(missing):
+        hint = "Run the parts that have not ended (or `unidrive convert` without --part), then finalise."
+    else:
+        hint = f"All of them failed ({failures[0].sentence}); --on-error skip leaves them out."
+    samples = "1 sample is" if len(missing) == 1 else f"{len(missing)} samples are"
+    return CheckError(f"{samples} not converted yet: {first}{more}.", where=str(root), hint=hint)
+
+
+def _receipts(plan: Plan, units: Sequence[Unit], destination: Destination) -> tuple[dict[str, Receipt], list[Unit]]:
+    """The receipts of the units that are done, by sample, and the units that are not."""
     receipts: dict[str, Receipt] = {}
-    failures: list[Failure] = []
-    todo: list[Unit] = []
-    for unit in plan.units:
+    missing: list[Unit] = []
+    for unit in units:
         receipt = read_receipt(destination, unit.sample.token, unit.pictures, plan.options.masks)
         if receipt is None:
-            todo.append(unit)
+            missing.append(unit)
         else:
             receipts[unit.sample.token] = receipt
-    total = len(plan.units)
+    return receipts, missing
+
+
+def _run_units(
+    plan: Plan, units: Sequence[Unit], destination: Destination, executor: Executor, progress: Progress | None
+) -> tuple[dict[str, Receipt], list[Failure]]:
+    receipts, missing = _receipts(plan, units, destination)
+    failures: list[Failure] = []
     if progress:
-        progress(len(receipts), total)
+        progress(len(receipts), len(units))
     job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest)
-    for outcome in _outcomes(plan, job, todo):
+    skip = plan.options.on_error == "skip"
+    work = functools.partial(_attempt, job, plan.dataset.folder, skip)
+    frames = (_frame(plan, unit, skip=skip) for unit in missing)
+    for outcome in executor(work, missing, frames) if missing else ():
         if isinstance(outcome, Failure):
             failures.append(outcome)
         else:
             receipts[outcome.sample_token] = outcome
         if progress:
-            progress(len(receipts) + len(failures), total)
+            progress(len(receipts) + len(failures), len(units))
     failures.sort(key=lambda failure: failure.sample_token)
     return receipts, failures
 
 
-def _outcomes(plan: Plan, job: Job, units: list[Unit]) -> Iterator[Receipt | Failure]:
-    skip = plan.options.on_error == "skip"
-    if plan.options.jobs == 0 or len(units) <= 1:
-        for unit in units:
-            yield _attempt(job, _frame(plan, unit, skip=skip), skip)
-        return
-    frames = (_frame(plan, unit, skip=skip) for unit in units)
-    work = functools.partial(_attempt_in_worker, job, skip)
-    yield from in_workers(work, frames, min(plan.options.jobs, len(units)))
+def _executor(plan: Plan) -> Executor:
+    """What carries the units out.
+
+    Raises:
+        UsageError: a cluster is asked for, and the extra for it is not installed or SRC is a relative path.
+    """
+    options = plan.options
+    if options.backend == "dask":
+        if not plan.dataset.root.is_absolute():
+            raise UsageError(f"with --backend dask SRC must be an absolute path, got {plan.dataset.root}.")
+        try:
+            from unidrive_cli.cluster import in_cluster
+        except ImportError as error:
+            raise UsageError(
+                f"--backend dask needs a package that is not installed ({error}).",
+                hint="pip install 'unidrive[dask]'",
+            ) from error
+        return lambda work, units, frames: in_cluster(functools.partial(_in_worker, work), frames, options.scheduler)
+
+    def here(work: Work, units: Sequence[Unit], frames: Iterable[Frame | Failure]) -> Iterator[Receipt | Failure]:
+        if options.jobs == 0 or len(units) == 1:
+            return map(work, frames)
+        prepare(plan.toolchain)
+        return in_workers(functools.partial(_in_worker, work), frames, min(options.jobs, len(units)))
+
+    return here
 
 
 def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
@@ -129,14 +275,15 @@ def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
         return Failure(unit.sample.token, error.sentence)
 
 
-def _attempt_in_worker(job: Job, skip: bool, frame: Frame | Failure) -> Receipt | Failure:
+def _in_worker(work: Work, frame: Frame | Failure) -> Receipt | Failure:
     cv2.setNumThreads(1)  # one process per core
-    return _attempt(job, frame, skip)
+    return work(frame)
 
 
-def _attempt(job: Job, frame: Frame | Failure, skip: bool) -> Receipt | Failure:
+def _attempt(job: Job, source: Path, skip: bool, frame: Frame | Failure) -> Receipt | Failure:
     if isinstance(frame, Failure):
         return frame
+    check_machine(job, source)
     try:
         return run_unit(job, frame)
     except DatasetError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,14 @@ import msgspec
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
 from unidrive_cli.convert.options import Masks, Options
+from unidrive_cli.errors import OutputError, UnidriveError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.converted import WORK, mask_name
-from unidrive_cli.tables.destination import RECEIPTS, Destination
+from unidrive_cli.tables.destination import RECEIPTS, Destination, begun_identity, digest_of
 from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
-from unidrive_cli.warp.render import Renderer, Toolchain, open_renderer
+from unidrive_cli.warp.render import Renderer, Toolchain, choose_toolchain, open_renderer
 
 SKIP_HINT = "Restore it, or leave its sample out with --on-error skip."
 
@@ -109,6 +111,40 @@ def read_receipt(
     except (OSError, msgspec.DecodeError):
         return None
     return receipt if whole else None
+
+
+def check_machine(job: Job, source: Path) -> None:
+    """Refuses a machine on which a unit would not become what the plan promises.
+
+    Args:
+        source: the version folder of SRC.
+
+    Raises:
+        OutputError: DST, with this very plan begun in it, is not seen here.
+        UnidriveError: SRC is not seen here, or codec or kernel are others than the plan's.
+        UsageError: they are not here.
+    """
+    plan = begun_identity(job.destination)
+    if plan is None or digest_of(plan) != job.key:
+        raise OutputError(
+            f"{platform.node()} does not see this conversion in this folder.",
+            where=str(job.destination.root),
+            hint="SRC and DST must lie where all machines see them under the same paths, and DST takes one "
+            "conversion at a time.",
+        )
+    if not source.is_dir():
+        raise UnidriveError(
+            f"{platform.node()} does not see this folder.",
+            where=str(source),
+            hint="SRC and DST must lie where all machines see them under the same paths.",
+        )
+    for name, here in choose_toolchain(job.toolchain.kernel, job.toolchain.codec).identity.items():
+        if here != plan.get(name):
+            raise UnidriveError(
+                f"{platform.node()} would work with the {name} {here!r}, the plan with {plan.get(name)!r}; the "
+                "pictures would not be the same.",
+                hint="Install the same packages on all machines.",
+            )
 
 
 def run_unit(job: Job, frame: Frame) -> Receipt:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import hashlib
 import json
 import os
 import shutil
+import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,10 +70,10 @@ class Destination:
             OutputError: it cannot be written.
         """
         path = self.root / name
-        temporary = self.work / f"{path.name[:100]}.{os.getpid()}.part"
+        temporary = self.work / f"{path.name[:100]}.{uuid.uuid4().hex}.part"  # no two machines choose the same
         try:
+            temporary.write_bytes(data)  # fails where the work folder is gone: a late worker adds nothing to DST
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(data)
             temporary.replace(path)
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -169,14 +171,29 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool, prov
     return held == identity
 
 
+def digest_of(identity: dict[str, Any]) -> str:
+    """SHA-256 (hex) of what a dataset depends on."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+
+def begun_identity(destination: Destination) -> dict[str, Any] | None:
+    """What the dataset depends on that was begun here and is not finished; None where there is none."""
+    try:
+        document = json.loads((destination.work / PLAN).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
 @contextlib.contextmanager
-def held(root: Path) -> Iterator[None]:
+def held(root: Path, *, shared: bool = False) -> Iterator[None]:
     """Makes DST and holds it for this process: a second conversion into it is refused.
 
     The hold ends with the process, however it ends. A folder that was made and stays empty is removed.
 
     Args:
         root: `resolved_destination`.
+        shared: hold it together with others that share it; only those that do not are refused.
 
     Raises:
         OutputError: DST cannot be made, or another process holds it.
@@ -188,7 +205,7 @@ def held(root: Path) -> Iterator[None]:
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(descriptor)
         raise OutputError(
@@ -229,11 +246,33 @@ def begin(
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
     try:
-        destination.write(f"{WORK}/{PLAN}", json.dumps(identity, indent=1, sort_keys=True).encode())
-        destination.write(MARKER, _MARKER_TEXT.encode())
+        _write_plan(destination, identity)
     except OutputError:
         abandon(destination)
         raise
+    return destination
+
+
+def join(root: Path, identity: dict[str, Any]) -> Destination:
+    """Makes DST ready for a share of the units; others may be at work there, or do this at the same moment.
+
+    Args:
+        root: `resolved_destination`, which this process holds together with the others.
+
+    Raises:
+        OutputError: DST cannot be written.
+    """
+    destination = Destination(root)
+    try:
+        shutil.rmtree(root / OLD, ignore_errors=True)
+        if not destination.work.exists():
+            with contextlib.suppress(FileNotFoundError):
+                destination.kept_work.rename(destination.work)
+        destination.work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
+    if begun_identity(destination) is None or not (root / MARKER).exists():
+        _write_plan(destination, identity)
     return destination
 
 
@@ -274,6 +313,11 @@ def _existing(place: Path) -> Path:
     while not place.exists():
         place = place.parent
     return place
+
+
+def _write_plan(destination: Destination, identity: dict[str, Any]) -> None:
+    destination.write(f"{WORK}/{PLAN}", json.dumps(identity, indent=1, sort_keys=True).encode())
+    destination.write(MARKER, _MARKER_TEXT.encode())
 
 
 def _clear(root: Path, provenance: str) -> None:

@@ -46,7 +46,7 @@ _INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 CHUNK = 512
 """Pixels drawn at once: their coordinates and taps stay in the first-level cache."""
 LANES = 8
-"""Stretches are drawn in multiples of this. What is written beyond their end is drawn over afterwards, or padding."""
+"""Stretches are drawn in multiples of this; what is written beyond their end is drawn over, or is padding."""
 _SHARED_CHUNK = 120
 _NODE_STEP = 8
 """Shares of overlapping sources are computed at every eighth pixel of a row, and linear between,"""
@@ -501,8 +501,8 @@ def _fill(canvas, start, end, value):
 
 @njit(**_INNER)
 def _draw_row(
-    xs64, xs, y, sources, source_count, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size, covered,
-    covered_at, runs, cuts, covering, seen, ints, taps, floats
+    xs64, xs, y, sources, source_count, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size,
+    covered, covered_at, runs, cuts, covering, seen, ints, taps, floats
 ):  # fmt: skip
     """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`."""
     width = xs64.size
@@ -602,7 +602,7 @@ def scratch(width_px: int, sources: int) -> tuple[Array, ...]:
 
 @njit(**_OPTIONS)
 def split_planes(picture, luma, blue, red):
-    """Y, Cb and Cr (full range, as JPEG has them) of a BGR picture (H, W, 3) uint8; chroma is the mean of 2x2 pixels.
+    """Y, Cb and Cr (full range, as JPEG has them) of a BGR picture (H, W, 3) uint8; chroma is the mean of four.
 
     The planes may be larger than the picture needs; what is beyond stays.
     """

@@ -205,7 +205,9 @@ def source_models(view: VirtualView, sources: Sequence[Source]) -> Float:
     return models
 
 
-_border_normals = functools.lru_cache(maxsize=256)(Pinhole.border_normals)
+@functools.lru_cache(maxsize=256)
+def _border_normals(lens: Pinhole) -> Float:
+    return lens.border_normals()
 
 
 def _half(size_px: int) -> int:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import cv2
 import simplejpeg
@@ -64,8 +65,8 @@ class Toolchain:
             `opencv` pictures are decoded by simplejpeg and encoded by OpenCV.
     """
 
-    kernel: str
-    codec: str
+    kernel: Literal["numba", "opencv"]
+    codec: Literal["libturbojpeg", "simplejpeg"]
 
     @property
     def identity(self) -> dict[str, str | dict[str, str]]:
@@ -83,7 +84,7 @@ def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchai
     Raises:
         UsageError: that is not here.
     """
-    numba = importlib.util.find_spec("numba") is not None
+    numba = _has_numba()
     if kernel == "numba" and not numba:
         raise UsageError("--kernel numba needs the package numba.", hint="pip install 'unidrive[fast]'.")
     if kernel == "opencv" or not numba:
@@ -100,6 +101,23 @@ def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchai
         )
     turbo = codec == "libturbojpeg" or (codec == "auto" and turbojpeg.found())
     return Toolchain("numba", "libturbojpeg" if turbo else "simplejpeg")
+
+
+@functools.cache
+def _has_numba() -> bool:
+    try:
+        metadata.version("numba")
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def prepare(toolchain: Toolchain) -> None:
+    """Compiles the kernel where that was not done yet, so that worker processes find it on the disk."""
+    if toolchain.kernel == "numba":
+        from unidrive_cli.warp import fused
+
+        fused.warm_up()
 
 
 def open_renderer(toolchain: Toolchain, rig: Rig, choices: WarpChoices) -> Renderer:

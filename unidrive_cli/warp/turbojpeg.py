@@ -116,8 +116,8 @@ class TurboJpeg:
         addresses, strides = _addresses(planes)
         file, size = c_void_p(self._file.ctypes.data), c_ulong(self._file.size)
         done = self._library.tjCompressFromYUVPlanes(
-            self._writer, addresses, width, strides, height, _SUBSAMPLING_420, ctypes.byref(file), ctypes.byref(size),
-            quality, _ACCURATE_DCT | _NO_REALLOCATION,
+            self._writer, addresses, width, strides, height, _SUBSAMPLING_420, ctypes.byref(file),
+            ctypes.byref(size), quality, _ACCURATE_DCT | _NO_REALLOCATION,
         )  # fmt: skip
         self._check(done, self._writer)
         return self._file[: size.value].tobytes()

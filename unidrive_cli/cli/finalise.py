@@ -1,0 +1,90 @@
+"""`unidrive finalise`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from unidrive_cli.cli.convert import (
+    CAMERAS,
+    CODEC,
+    KERNEL,
+    LINK,
+    MASKS,
+    ON_ERROR,
+    QUALITY,
+    UNSEEN_BOXES,
+    VERIFY,
+    VISIBILITY,
+    planned,
+    say_summary,
+)
+from unidrive_cli.cli.shared import (
+    BLEND,
+    CONFIG,
+    DEBUG,
+    DEPTH_LIMIT,
+    EGO_MOTION,
+    GROUND_HEIGHT,
+    JSON,
+    RIG_HELP,
+    SCENES,
+    VERSION,
+    guarded,
+    option,
+)
+from unidrive_cli.convert.options import Link, Masks, OnError, UnseenBoxes, VerifyLevel, VisibilityRule
+from unidrive_cli.warp.choices import Blend, Codec, Kernel
+
+
+@guarded
+def finalise_command(
+    src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
+    dst: Path = typer.Argument(..., metavar="DST", help="Where the parts put the converted samples."),
+    rig: str = option(..., "--rig", help=RIG_HELP),
+    version: str | None = VERSION,
+    scene: list[str] = SCENES,
+    camera: list[str] = CAMERAS,
+    depth_limit: float | None = DEPTH_LIMIT,
+    ground_height: float | None = GROUND_HEIGHT,
+    blend: Blend = BLEND,
+    ego_motion: bool = EGO_MOTION,
+    quality: int = QUALITY,
+    masks: Masks = MASKS,
+    visibility: VisibilityRule = VISIBILITY,
+    unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
+    link: Link = LINK,
+    on_error: OnError = ON_ERROR,
+    verify: VerifyLevel = VERIFY,
+    kernel: Kernel = KERNEL,
+    codec: Codec = CODEC,
+    jobs: int | None = option(None, "--jobs", hidden=True, help="No effect: --config may be that of `convert`."),
+    backend: str = option("", "--backend", hidden=True, help="No effect, as --jobs."),
+    scheduler: str = option("", "--scheduler", hidden=True, help="No effect, as --jobs."),
+    as_json: bool = JSON,
+    config: Path | None = CONFIG,
+    debug: bool = DEBUG,
+) -> None:
+    """Complete a conversion whose parts (`convert --part`) are all done, with the same options."""
+    from unidrive_cli.convert.run import finalise_parts
+
+    plan = planned(
+        src,
+        dst,
+        rig,
+        version,
+        (depth_limit, ground_height, blend, ego_motion),
+        quality=quality,
+        scenes=tuple(sorted(set(scene))),
+        cameras=tuple(sorted(set(camera))),
+        masks=masks,
+        visibility=visibility,
+        unseen_boxes=unseen_boxes,
+        link=link,
+        on_error=on_error,
+        verify=verify,
+        kernel=kernel,
+        codec=codec,
+    )
+    say_summary(finalise_parts(plan, dst), plan, dst, as_json)
