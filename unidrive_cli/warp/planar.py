@@ -115,7 +115,13 @@ class Atlas:
 
 
 class Canvas:
-    """A virtual camera and the memory that its picture is drawn into."""
+    """A virtual camera and the memory that its picture is drawn into.
+
+    Attributes:
+        view: the virtual camera.
+        scene: (7,) float64, see `fused.PER_LENGTH`.
+        xs, ys: coordinates of the pixels, and of the chroma samples, on the plane z = 1; (n,) float64 each.
+    """
 
     def __init__(self, view: VirtualView) -> None:
         lens = view.camera.pinhole
@@ -123,7 +129,7 @@ class Canvas:
         chroma = _half(width) * _half(height)
         ground, centre = view.half_ball.ground, view.half_ball.centre_ego
         self.view = view
-        self._scene = np.array(
+        self.scene = np.array(
             [
                 1 / view.half_ball.radius_m,
                 *(-(ground.normal @ view.camera.ego_from_cam[:3, :3]) / float(ground.height_m(centre))),
@@ -132,10 +138,10 @@ class Canvas:
                 MIN_SHARE,
             ]
         )
-        self._xs = [
+        self.xs = [
             (columns - lens.cx_px) / lens.fx_px for columns in (np.arange(float(width)), _chroma_places(width))
         ]
-        self._ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
+        self.ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
         self._memory = np.empty(width * height + 2 * chroma + 3 * fused.LANES, dtype=np.uint8)
         self._covered = np.empty(width * height, dtype=np.uint8)
         self._scratch: tuple[npt.NDArray[np.generic], ...] = ()
@@ -144,14 +150,14 @@ class Canvas:
     @property
     def mask(self) -> Mask:
         """(H, W) uint8, 255 where a source saw the pixel."""
-        return self._covered.reshape(len(self._ys[0]), len(self._xs[0]))
+        return self._covered.reshape(len(self.ys[0]), len(self.xs[0]))
 
     @property
     def planes(self) -> Planes:
         """Y (H, W), U and V (H / 2, W / 2, rounded up) of the picture that was drawn last."""
         planes, start = [], 0
         for chroma in (0, 1, 1):
-            shape = len(self._ys[chroma]), len(self._xs[chroma])
+            shape = len(self.ys[chroma]), len(self.xs[chroma])
             planes.append(self._memory[start : start + shape[0] * shape[1]].reshape(shape))
             start += shape[0] * shape[1] + fused.LANES
         return planes[0], planes[1], planes[2]
@@ -159,15 +165,15 @@ class Canvas:
     def draw(self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool) -> None:
         """Draws the picture and its mask."""
         if self._sources != len(sources):
-            self._sources, self._scratch = len(sources), fused.scratch(len(self._xs[0]), len(sources))
+            self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
         fused.draw_view(
-            self._xs[0],
-            _padded(self._xs[0]),
-            self._ys[0],
-            self._xs[1],
-            _padded(self._xs[1]),
-            self._ys[1],
-            self._scene,
+            self.xs[0],
+            _padded(self.xs[0]),
+            self.ys[0],
+            self.xs[1],
+            _padded(self.xs[1]),
+            self.ys[1],
+            self.scene,
             source_models(self.view, sources),
             atlas.layout,
             nearest,
