@@ -124,7 +124,7 @@ def _bounds_2d(
         if not whole[index]:
             points = _pixels(camera, box_geometry.clipped_outline(corners_cam[index], NEAR_M))
         outline = shapely.convex_hull(shapely.multipoints(points))
-        outline = shapely.intersection(outline, shapely.box(0, 0, *canvas))
+        outline = shapely.clip_by_rect(outline, 0, 0, *canvas)
         if isinstance(outline, shapely.Polygon) and not outline.is_empty and _touches(mask, outline):
             yield int(index), outline.bounds
 

@@ -140,11 +140,12 @@ def _form(models, j, row, y):
 def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
     """Source pixels of a stretch of a row: byte index of the upper left tap, and 8-bit fractions."""
     rows = CHROMA if chroma else LUMA
-    ux, u0, uw = _form(models, j, rows, y)
-    vx, v0, vw = _form(models, j, rows + 1, y)
     zx, z0, zw = _form(models, j, rows + 2, y)
-    zero, half, scale, one = _f4(0), _f4(0.5), _f4(256), _f4(1)
-    last_u, last_v = _f4(layout[j, SIZES + 2 * chroma] - 1), _f4(layout[j, SIZES + 2 * chroma + 1] - 1)
+    ux, u0, uw = _scaled(_form(models, j, rows, y), zx, z0, zw)
+    vx, v0, vw = _scaled(_form(models, j, rows + 1, y), zx, z0, zw)
+    one, low = _f4(1), _f4(0.5)
+    high_u = _f4((layout[j, SIZES + 2 * chroma] - 1) * 256 + 0.5)
+    high_v = _f4((layout[j, SIZES + 2 * chroma + 1] - 1) * 256 + 0.5)
     stride = _i4(layout[j, STRIDES + chroma])
     first, index, fraction = _u8(start), 2 * k, 2 * k + 1
     for i in range(_u8(n)):
@@ -152,13 +153,20 @@ def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
         per_z = one / (z0 + zx * x + zw * w)
         u = (u0 + ux * x + uw * w) * per_z
         v = (v0 + vx * x + vw * w) * per_z
-        u = u if u > zero else zero
-        v = v if v > zero else zero
-        u = u if u < last_u else last_u
-        v = v if v < last_v else last_v
-        iu, iv = _i4(u * scale + half), _i4(v * scale + half)
+        u = u if u > low else low
+        v = v if v > low else low
+        u = u if u < high_u else high_u
+        v = v if v < high_v else high_v
+        iu, iv = _i4(u), _i4(v)
         ints[index, i] = _i4(_i4(_i4(iv >> _i4(8)) * stride) + _i4(iu >> _i4(8)))
         ints[fraction, i] = _i4(_i4(_i4(iv & _i4(255)) << _i4(8)) | _i4(iu & _i4(255)))
+
+
+@njit(**_INNER)
+def _scaled(form, zx, z0, zw):
+    """A form whose quotient with Z is 256 times as large, and rounds when it is cut to a whole number."""
+    scale, half = _f4(256), _f4(0.5)
+    return scale * form[0] + half * zx, scale * form[1] + half * z0, scale * form[2] + half * zw
 
 
 @njit(**_INNER)
