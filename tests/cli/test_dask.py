@@ -80,7 +80,18 @@ def test_interrupted_it_says_one_sentence(bench: Bench, tmp_path: Path) -> None:
     from tests.clusters import cluster, wait_until
 
     with cluster(tmp_path, workers=1) as machines:
-        arguments = [bench.src, bench.dst, "--rig", bench.rig, "--backend", "dask", "--scheduler", machines.address]
+        arguments = [
+            bench.src,
+            bench.dst,
+            "--rig",
+            bench.rig,
+            "--kernel",
+            "opencv",
+            "--backend",
+            "dask",
+            "--scheduler",
+            machines.address,
+        ]
         process = subprocess.Popen([SCRIPT, "convert", *map(str, arguments)], stderr=subprocess.PIPE, text=True)
         wait_until(lambda: receipts(bench.dst) >= 2)
         process.send_signal(signal.SIGINT)
