@@ -35,7 +35,7 @@ _CELL_M = 24.0
 _TILES, _SHADOWS, _STILL, _VISIBLE, _TRIANGLES, _CORNERS, _BODIES = range(7)
 """Texture units."""
 _ROW = 1024
-"""Triangles, and vertices, in a row of the textures that hold them."""
+"""Triangles, or vertices, in a row of the textures that hold them; samples name up to 4 million triangles."""
 _GLOSSY, _VARIED = 1, 2
 """Kinds of surfaces, or both, or neither: what their shading takes more time for."""
 _SKY_ONLY, _MIXED = 4, 5
@@ -47,6 +47,14 @@ _SHADOW_M = 100.0
 _WELL_INSIDE = 0.98
 """Nothing that a surface outside of a cascade can read lies in this share of it: shaders leave it at 0.995, and look
 up to three texels of the next one aside."""
+_GROUND, _STRUCTURES, _FIRST_ACTOR = 0, 1, 2
+"""Bodies: the meshes of a stage, in this order."""
+_NEAR_M = 25.0
+"""What is this near is drawn first, and may then hide what is farther away."""
+_SQUARE = 16
+"""What is hidden is looked up in squares of so many samples a side."""
+_DEPTH_ERROR = 1e-6
+"""More than GL's rounding changes a depth between 0 and 1."""
 
 Box = tuple[int, int, int, int]
 """x, y, width, height in texels or pixels."""
@@ -192,7 +200,7 @@ class GlRenderer:
                 target.samples.viewport = (0, 0, part[2] * grid, part[3] * grid)
                 target.samples.clear()
                 self._context.enable_only(self._context.DEPTH_TEST)
-                self._draw_all(self._visible, view, part)
+                self._draw_all(self._visible, target.samples, view, part)
                 self._shade(target, view, part, grid)
             pixels = target.bytes.read(viewport=(0, 0, lens.width_px, lens.height_px), components=4)
         picture = np.frombuffer(pixels, dtype=np.uint8).reshape(lens.height_px, lens.width_px, 4)
@@ -207,7 +215,7 @@ class GlRenderer:
             target.clear(SKY_ID, np.inf)
             self._context.enable_only(self._context.DEPTH_TEST)
             self._instance.program["axis"] = tuple(view.global_from_cam[:3, 2])
-            self._draw_all(self._instance, view, (0, 0, lens.width_px, lens.height_px))
+            self._draw_all(self._instance, target, view, (0, 0, lens.width_px, lens.height_px))
             values = target.read(components=2, dtype="f4")
         both = np.frombuffer(values, dtype=np.float32).reshape(lens.height_px, lens.width_px, 2)
         return both[..., 0].astype(np.uint16), both[..., 1].copy()
@@ -238,16 +246,19 @@ class GlRenderer:
         self._shadow = self._drawing("shadow_fragment")
         self._visible = self._drawing("visible_fragment")
         self._restore = self._filling(_program(context, "screen_vertex", "restore_fragment"))
-        self._shadings: dict[int, _Shadings] = {}
         self._build_textures(stage)
         self._build_shadows()
+        self._shadings: dict[int, _Shadings] = {}
         self._targets: dict[tuple[int, int, int], _Target] = {}
         self._instance_targets: dict[tuple[int, int], Any] = {}
+        self._depths = np.empty(0, dtype=np.float32)
 
     def _drawing(self, fragment: str) -> _Drawing:
         """Draws triangles of the index buffer."""
         program = _program(self._context, "flat_vertex", fragment)
-        return _Drawing(program, self._context.vertex_array(program, [(self._places, "3f", "position")], self._indices))
+        return _Drawing(
+            program, self._context.vertex_array(program, [(self._places, "3f", "position")], self._indices)
+        )
 
     def _filling(self, program: Any) -> _Drawing:
         """Draws the whole viewport."""
@@ -256,7 +267,13 @@ class GlRenderer:
         return _Drawing(program, self._context.vertex_array(program, content, mode=self._context.TRIANGLE_STRIP))
 
     def _build_tables(self, whole: Mesh, corners: npt.NDArray[Any], counts: npt.NDArray[np.int64]) -> None:
-        """What the shading looks up: vertices, three `corners` (3 t,) of each triangle, and `counts` (b,) of bodies."""
+        """What the shading looks up.
+
+        Args:
+            whole: all bodies' vertices.
+            corners: (3 t,) vertices of the triangles, in the order of the index buffer.
+            counts: (b,) triangles of each body.
+        """
         columns = (
             whole.positions_m,
             whole.layer[:, None] + whole.gloss[:, None] / 2,
@@ -289,18 +306,24 @@ class GlRenderer:
     def _shading(self, grid: int) -> _Shadings:
         """The programs that turn grid x grid samples into a pixel."""
         if grid not in self._shadings:
-            defined = {"GRID": grid, "SKY_ONLY": _SKY_ONLY, "MIXED": _MIXED}
-            sort = self._filling(_program(self._context, "screen_vertex", "visible", "sort_fragment", **defined))
+            names = {"GRID": grid, "ROW": _ROW, "SKY_ONLY": _SKY_ONLY, "MIXED": _MIXED}
+            sort = self._filling(_program(self._context, "screen_vertex", "visible", "sort_fragment", **names))
             sort.set(visible=_VISIBLE)
             shade = []
             for shading in range(_MIXED + 1):
-                surface, mixed = shading != _SKY_ONLY, shading == _MIXED
-                kind = _GLOSSY | _VARIED if mixed else shading
-                switches = {"SKY": mixed or not surface, "SURFACE": surface}
-                switches |= {"GLOSSY": bool(kind & _GLOSSY), "VARIED": bool(kind & _VARIED)}
-                switches = {name: int(value) for name, value in switches.items()}
-                parts = ("screen_vertex", "visible", "light", "shade_fragment")
-                drawing = self._filling(_program(self._context, *parts, **defined, **switches))
+                mixed = shading == _MIXED
+                kind = _GLOSSY | _VARIED if mixed else shading % _SKY_ONLY
+                program = _program(
+                    self._context,
+                    "screen_vertex",
+                    *("visible", "light", "shade_fragment"),
+                    SKY=int(shading >= _SKY_ONLY),
+                    SURFACE=int(shading != _SKY_ONLY),
+                    GLOSSY=kind & _GLOSSY,
+                    VARIED=kind & _VARIED,
+                    **names,
+                )
+                drawing = self._filling(program)
                 drawing.set(level=shading / 8, **self._lighting())
                 shade.append(drawing)
             self._shadings[grid] = _Shadings(sort, tuple(shade))
@@ -459,29 +482,63 @@ class GlRenderer:
         rows[2:, :, 3] = np.einsum("aij,aj->ai", turned, eye - view.global_from_actor[:, :3, 3])
         self._bodies.write(rows.astype(np.float32).tobytes())
 
-    def _draw_all(self, drawing: _Drawing, view: View, box: Box) -> None:
-        """Draws all that can be seen in the part `box` of the picture."""
+    def _draw_all(self, drawing: _Drawing, target: Any, view: View, box: Box) -> None:
+        """Draws all that can be seen in the part `box` of the picture: first what is near, then what that leaves."""
+        clip = _clip_from_cam(view.lens, box)
+        drawing.set(clip_from_q=tuple((clip @ _padded(view.global_from_cam[:3, :3].T)).T.ravel()))
+        seen = self._in_view(view, box)
+        depth_m = seen.corners_cam[..., 2].min(axis=1)
+        order = np.lexsort((depth_m, seen.body, seen.body == _GROUND))
+        near = depth_m[order] < _NEAR_M
+        self._draw_pieces(drawing, view, seen, order[near])
+        order = order[~near]
+        if len(order):
+            squares = np.array(target.viewport[2:]) / _SQUARE
+            hidden = _hidden(seen.corners_cam[order], clip, squares, self._deepest(target))
+            self._draw_pieces(drawing, view, seen, order[~hidden])
+
+    def _in_view(self, view: View, box: Box) -> _Seen:
+        """What reaches into the part `box` of the picture."""
         rotation, eye = view.global_from_cam[:3, :3], view.global_from_cam[:3, 3]
-        drawing.set(clip_from_q=tuple((_clip_from_cam(view.lens, box) @ _padded(rotation.T)).T.ravel()))
         planes = _sides(view.lens, box) @ rotation.T
-        self._draw_still(drawing, eye, planes, self._structures, STRUCTURE_ID)
+        body, piece, corners = [], [], []
+        for number, pieces in ((_GROUND, self._ground), (_STRUCTURES, self._structures)):
+            inside = np.flatnonzero(pieces.inside(planes, planes @ eye))
+            body.append(np.full(len(inside), number))
+            piece.append(inside)
+            corners.append(_corners(pieces.middle[inside], pieces.half[inside]) - eye)
         shown = _shown(view, len(self._actors))
         middle, half = self._extents(view, shown, planes)
         for index in shown[(middle - planes @ eye + half >= 0).all(axis=1)].tolist():
-            pose = view.global_from_actor[index]
-            drawing.place(pose[:3, :3], pose[:3, 3] - eye)
-            drawing.set(id=FIRST_ACTOR_ID + index)
-            drawing.draw_all(self._actors[index])
-        self._draw_still(drawing, eye, planes, self._ground, GROUND_ID)
+            pose, pieces = view.global_from_actor[index], self._actors[index]
+            body.append(np.full(len(pieces.kind), _FIRST_ACTOR + index))
+            piece.append(np.arange(len(pieces.kind)))
+            corners.append(_corners(pieces.middle, pieces.half) @ pose[:3, :3].T + (pose[:3, 3] - eye))
+        return _Seen(np.concatenate(body), np.concatenate(piece), np.concatenate(corners) @ rotation)
 
-    def _draw_still(self, drawing: _Drawing, eye: Float, planes: Float, pieces: _Pieces, id_: int) -> None:
-        """Draws what does not move, the nearest pieces first."""
-        drawing.place(np.eye(3), -eye)
-        drawing.set(id=id_)
-        seen = np.flatnonzero(pieces.inside(planes, planes @ eye))
-        away = np.maximum(np.abs(pieces.middle[seen] - eye) - pieces.half[seen], 0)
-        for piece in seen[np.argsort((away * away).sum(axis=1), kind="stable")].tolist():
-            drawing.draw(pieces, piece)
+    def _draw_pieces(self, drawing: _Drawing, view: View, seen: _Seen, order: npt.NDArray[np.int64]) -> None:
+        eye = view.global_from_cam[:3, 3]
+        placed = -1
+        for body, piece in zip(seen.body[order].tolist(), seen.piece[order].tolist(), strict=True):
+            index = body - _FIRST_ACTOR
+            if body != placed:
+                pose = np.eye(4) if index < 0 else view.global_from_actor[index]
+                drawing.place(pose[:3, :3], pose[:3, 3] - eye)
+                drawing.set(id=(GROUND_ID, STRUCTURE_ID)[body] if index < 0 else FIRST_ACTOR_ID + index)
+                placed = body
+            drawing.draw((self._ground, self._structures)[body] if index < 0 else self._actors[index], piece)
+
+    def _deepest(self, target: Any) -> npt.NDArray[np.float32]:
+        """Depths that nothing in squares of _SQUARE x _SQUARE samples of the viewport exceeds, 0 to 1."""
+        viewport = target.viewport
+        size = viewport[3] * viewport[2]
+        if len(self._depths) < size:
+            self._depths = np.empty(size, dtype=np.float32)
+        target.read_into(self._depths, viewport, components=1, attachment=-1, dtype="f4")
+        depths = self._depths[:size].reshape(viewport[3], viewport[2])
+        rows, columns = (np.arange(0, side, _SQUARE) for side in depths.shape)
+        deepest: npt.NDArray[np.float32] = np.maximum.reduceat(np.maximum.reduceat(depths, rows), columns, axis=1)
+        return deepest
 
     def _shade(self, target: _Target, view: View, part: Box, grid: int) -> None:
         """Turns samples into pixels."""
@@ -524,6 +581,20 @@ class GlRenderer:
             colour = self._context.renderbuffer(size, 2, dtype="f4")
             self._instance_targets[size] = self._context.framebuffer(colour, self._context.depth_renderbuffer(size))
         return self._instance_targets[size]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Pieces that may be seen.
+
+    Attributes:
+        body, piece: (n,) which piece of which body.
+        corners_cam: (n, 8, 3) of the boxes that hold them, metres.
+    """
+
+    body: npt.NDArray[np.int64]
+    piece: npt.NDArray[np.int64]
+    corners_cam: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -608,6 +679,37 @@ def _sides(lens: Pinhole, box: Box) -> Float:
             [0, lens.fy_px, -top],
             [0, -lens.fy_px, top + height],
             [0, 0, 1],
+        ]
+    )
+
+
+def _corners(middle: Float, half: Float) -> Float:
+    """(n, 8, 3) corners of boxes (n, 3)."""
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(8, 3)
+    corners: Float = middle[:, None] + half[:, None] * signs
+    return corners
+
+
+def _hidden(
+    corners_cam: Float, clip_from_cam: Float, squares: Float, deepest: npt.NDArray[np.float32]
+) -> npt.NDArray[np.bool_]:
+    """(n,) where all of a box (n, 8, 3) is behind what has been drawn.
+
+    Args:
+        squares: (2,) how many of _SQUARE samples a side the viewport holds, across and down.
+        deepest: (rows, columns) depths that nothing drawn in these squares exceeds, 0 to 1.
+    """
+    clip = corners_cam @ clip_from_cam[:, :3].T + clip_from_cam[:, 3]
+    ahead = clip[..., 3].min(axis=1) > light.NEAR_M
+    window = (clip[..., :3] / np.maximum(clip[..., 3:], light.NEAR_M) + 1) / 2
+    nearest = window[..., 2].min(axis=1) - _DEPTH_ERROR
+    most = deepest.shape[::-1]
+    low = np.clip(np.floor(window[..., :2].min(axis=1) * squares - 0.1), 0, most).astype(int)
+    high = np.clip(np.ceil(window[..., :2].max(axis=1) * squares + 0.1), 0, most).astype(int)
+    return np.array(
+        [
+            clear and near > deepest[top:bottom, left:right].max(initial=0)
+            for clear, near, (left, top), (right, bottom) in zip(ahead, nearest, low, high, strict=True)
         ]
     )
 

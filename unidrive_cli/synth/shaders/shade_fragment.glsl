@@ -47,14 +47,15 @@ vec2 offset_of(int sample_index) {
 
 // What some samples of a pixel see of a triangle: the texture at each of them, all else in their `middle`.
 vec3 surface_seen(int triangle, int samples, vec2 middle) {
-    vec4 known = texelFetch(triangles, ivec2(triangle % 1024, triangle / 1024), 0);
+    vec4 known = texelFetch(triangles, ivec2(triangle % ROW, triangle / ROW), 0);
     int body = int(known.w);
     vec4 rows[3];
     vec4 corner[9];
     for (int i = 0; i < 3; i++) {
         rows[i] = texelFetch(bodies, ivec2(i, body), 0);
         int vertex = int(known[i]);
-        for (int j = 0; j < 3; j++) corner[3 * i + j] = texelFetch(corners, ivec2(vertex % 1024 * 3 + j, vertex / 1024), 0);
+        ivec2 at = ivec2(vertex % ROW * 3, vertex / ROW);
+        for (int j = 0; j < 3; j++) corner[3 * i + j] = texelFetch(corners, at + ivec2(j, 0), 0);
     }
     mat3 mesh_from_global = transpose(mat3(rows[0].xyz, rows[1].xyz, rows[2].xyz));
     vec3 ray = ray_from_window * vec3(gl_FragCoord.xy + middle, 1.0);
@@ -67,7 +68,7 @@ vec3 surface_seen(int triangle, int samples, vec2 middle) {
     vec3 moment = cross(from_corner, local);
     float against = -dot(local, own);
     float scale = 1.0 / (against == 0.0 ? 1e-30 : against);
-    float depth_m = max(dot(from_corner, own) * scale, 0.0);
+    float depth_m = clamp(dot(from_corner, own) * scale, 0.0, FAR_M);
     vec2 shares = clamp(vec2(dot(second, moment), -dot(first, moment)) * scale, 0.0, 1.0);
     vec3 weights = vec3(1.0 - shares.x - shares.y, shares);
 
