@@ -302,6 +302,41 @@ def test_a_marking_5_mm_above_the_road_is_whole_100_m_away(which: str, textures:
     np.testing.assert_allclose(depths[row], lens.fy_px * 1.5 / (row - lens.cy_px), rtol=1e-4)
 
 
+def test_what_shows_through_a_slit_is_drawn_and_what_is_hidden_is_known_to_be(textures: Any) -> None:
+    """A wall 10 m away with a slit 3 pixels wide; behind it a post in line with the slit, and two that it hides."""
+    slit_m = 0.03
+    wall = merged([block((10, low, -1), (10.3, high, 9)) for low, high in ((-30, -slit_m), (slit_m, 30))])
+    posts = tuple(block((-0.4, -0.4, 0), (0.4, 0.4, 4)) for _ in range(3))
+    poses = np.array([at(60, 0, 0), at(60, 9, 0), at(90, 20, 0)])
+    stage = Stage(plate((-50, -200), (200, 200), 0), wall, posts, textures, DAY)
+    view = View(LENS, cam_at(0, 0, 1.6), poses)
+    drawn, cast = gl_or_skip(stage), RayRenderer(stage)
+    (ids, depths), (ids_rays, _) = drawn.instances(view), cast.instances(view)
+    picture = drawn.picture(view, 4)
+    drawn.close()
+    assert set(np.unique(ids)) == set(np.unique(ids_rays)) == {SKY_ID, GROUND_ID, STRUCTURE_ID, FIRST_ACTOR_ID}
+    assert (ids == ids_rays).mean() > 0.999
+    assert depths[ids == FIRST_ACTOR_ID].min() == pytest.approx(59.6, abs=1e-2)
+    assert psnr_db(picture, cast.picture(view, 4)) > 40
+
+
+def test_a_box_is_hidden_only_where_all_before_it_is_nearer() -> None:
+    """Depth 0.5 in two squares of a row of three, nothing in the third."""
+    deepest = np.array([[0.5, 0.5, 1.0]], dtype=np.float32)
+    squares = np.array([2.5, 1.0])  # the last square reaches out of the picture
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
+
+    def box(left: float, right: float, near: float) -> Any:
+        """Window coordinates in squares, depths 0 to 1, for a projection that divides by 1."""
+        low = np.array([left / 2.5 * 2 - 1, -0.5, 2 * near - 1])
+        high = np.array([right / 2.5 * 2 - 1, 0.5, 0.9])
+        return (low + high) / 2 + signs * (high - low) / 2
+
+    boxes = np.array([box(0.2, 1.8, 0.51), box(0.2, 1.8, 0.49), box(0.2, 2.2, 0.51), box(2.2, 2.4, 0.6)])
+    hidden = gl_renderer._hidden(boxes, np.eye(4), squares, deepest)
+    np.testing.assert_array_equal(hidden, [True, False, False, False])
+
+
 @pytest.mark.parametrize("which", ["gl", "rays"])
 @pytest.mark.parametrize("caster", ["structure", "actor"])
 def test_shadows_lie_where_the_sun_puts_them(which: str, caster: str, textures: Any) -> None:

@@ -32,8 +32,14 @@ from unidrive_cli.synth.textures import LAYERS
 
 _CELL_M = 24.0
 """Side of the ground squares by which the triangles that do not move are culled."""
-_TILES, _SHADOWS, _STILL, _ROOTS = 0, 1, 2, 3
+_TILES, _SHADOWS, _STILL, _VISIBLE, _TRIANGLES, _CORNERS, _BODIES = range(7)
 """Texture units."""
+_ROW = 1024
+"""Triangles, or vertices, in a row of the textures that hold them; samples name up to 4 million triangles."""
+_GLOSSY, _VARIED = 1, 2
+"""Kinds of surfaces, or both, or neither: what their shading takes more time for."""
+_SKY_ONLY, _MIXED = 4, 5
+"""Beside the kinds: what else can be seen in a pixel."""
 _SUN_RANGE_M = 2048.0
 """Shadow maps hold what is this near their middle, along the sun's rays."""
 _SHADOW_M = 100.0
@@ -41,6 +47,14 @@ _SHADOW_M = 100.0
 _WELL_INSIDE = 0.98
 """Nothing that a surface outside of a cascade can read lies in this share of it: shaders leave it at 0.995, and look
 up to three texels of the next one aside."""
+_GROUND, _STRUCTURES, _FIRST_ACTOR = 0, 1, 2
+"""Bodies: the meshes of a stage, in this order."""
+_NEAR_M = 25.0
+"""What is this near is drawn first, and may then hide what is farther away."""
+_SQUARE = 16
+"""What is hidden is looked up in squares of so many samples a side."""
+_DEPTH_ERROR = 1e-6
+"""More than GL's rounding changes a depth between 0 and 1."""
 
 Box = tuple[int, int, int, int]
 """x, y, width, height in texels or pixels."""
@@ -86,7 +100,7 @@ class _Pieces:
 
     Attributes:
         first, count: (p,) vertex indices.
-        kind: (p,) 1 where glossy plus 2 where varied: which of the surface programs draws them.
+        kind: (p,) _GLOSSY plus _VARIED, or less.
         middle, half: (p, 3) of the boxes, metres.
     """
 
@@ -178,24 +192,16 @@ class GlRenderer:
             raise ValueError(f"samples must be 1, 4 or 16, got {samples}")
         with self._context:
             self._draw_shadows(view)
-            self._set_shadows(view)
-            self._tiles.use(_TILES)
-            self._shaded.use(_SHADOWS)
+            self._set_bodies(view)
             parts = _parts(lens, max(grid // 2, 1))
             target = self._target(lens, parts[0], grid)
             for part in parts:
-                target.roots.use()
-                target.roots.viewport = (0, 0, part[2] * grid, part[3] * grid)
-                target.roots.clear()
+                target.samples.use()
+                target.samples.viewport = (0, 0, part[2] * grid, part[3] * grid)
+                target.samples.clear()
                 self._context.enable_only(self._context.DEPTH_TEST)
-                target.roots.color_mask = (False,) * 4  # depth first, so that every sample is shaded only once
-                self._draw_things([self._shadow], view, part)
-                target.roots.color_mask = (True,) * 4
-                self._context.depth_func = "<="
-                self._draw_ground(self._surfaces, view, part)
-                self._draw_things(self._surfaces, view, part)
-                self._draw_sky(view, part)
-                self._encode(target, part, grid)
+                self._draw_all(self._visible, target.samples, view, part)
+                self._shade(target, view, part, grid)
             pixels = target.bytes.read(viewport=(0, 0, lens.width_px, lens.height_px), components=4)
         picture = np.frombuffer(pixels, dtype=np.uint8).reshape(lens.height_px, lens.width_px, 4)
         return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
@@ -209,9 +215,7 @@ class GlRenderer:
             target.clear(SKY_ID, np.inf)
             self._context.enable_only(self._context.DEPTH_TEST)
             self._instance.program["axis"] = tuple(view.global_from_cam[:3, 2])
-            whole = (0, 0, lens.width_px, lens.height_px)
-            self._draw_ground([self._instance], view, whole)
-            self._draw_things([self._instance], view, whole)
+            self._draw_all(self._instance, target, view, (0, 0, lens.width_px, lens.height_px))
             values = target.read(components=2, dtype="f4")
         both = np.frombuffer(values, dtype=np.float32).reshape(lens.height_px, lens.width_px, 2)
         return both[..., 0].astype(np.uint16), both[..., 1].copy()
@@ -235,53 +239,59 @@ class GlRenderer:
         self._box_middle = np.array([middle for middle, _ in boxes]).reshape(-1, 3)
         self._box_half = np.array([half for _, half in boxes]).reshape(-1, 3)
         whole = merged(meshes)
-        columns = (
-            whole.positions_m,
-            whole.normals,
-            whole.uv,
-            whole.albedo,
-            whole.layer[:, None].astype(np.float32),
-            whole.gloss[:, None],
-        )
-        rows = np.hstack([column.astype(np.float32) for column in columns])
-        self._vertices = context.buffer(rows.tobytes() or bytes(52))
         self._places = context.buffer(np.ascontiguousarray(whole.positions_m).tobytes() or bytes(12))
         self._indices = context.buffer(np.concatenate(order).astype(np.int32).tobytes() or bytes(12))
-        names = ("position", "normal_mesh", "texture_place", "colour", "layer_index", "shine")
-        self._surfaces = [
-            self._drawing(
-                _program(context, "surface_vertex", "light", "surface_fragment", GLOSSY=kind & 1, VARIED=kind >> 1),
-                (self._vertices, "3f 3f 2f 3f 1f 1f", *names),
-            )
-            for kind in range(4)
-        ]
-        places = (self._places, "3f", "position")
-        self._instance = self._drawing(_program(context, "flat_vertex", "", "instance_fragment"), places)
-        self._shadow = self._drawing(_program(context, "flat_vertex", "", "shadow_fragment"), places)
-        corners = context.buffer(np.array([-1, -1, 1, -1, -1, 1, 1, 1], dtype=np.float32).tobytes())
-        self._sky, self._restore, self._encoding = (
-            _Drawing(program, context.vertex_array(program, [(corners, "2f", "corner")]))
-            for program in (
-                _program(context, "sky_vertex", "light", "sky_fragment", GLOSSY=0, VARIED=0),
-                _program(context, "screen_vertex", "", "restore_fragment"),
-                _program(context, "screen_vertex", "", "encode_fragment"),
-            )
-        )
+        self._build_tables(whole, np.concatenate(order), np.diff(indices) // 3)
+        self._instance = self._drawing("instance_fragment")
+        self._shadow = self._drawing("shadow_fragment")
+        self._visible = self._drawing("visible_fragment")
+        self._restore = self._filling(_program(context, "screen_vertex", "restore_fragment"))
         self._build_textures(stage)
         self._build_shadows()
+        self._shadings: dict[int, _Shadings] = {}
         self._targets: dict[tuple[int, int, int], _Target] = {}
         self._instance_targets: dict[tuple[int, int], Any] = {}
+        self._depths = np.empty(0, dtype=np.float32)
 
-    def _drawing(self, program: Any, content: tuple[Any, ...]) -> _Drawing:
-        buffer, layout, *names = content
-        fields = [
-            field if name in program else f"{4 * int(field[0])}x"
-            for name, field in zip(names, layout.split(), strict=True)
-        ]
-        used = [name for name in names if name in program]
+    def _drawing(self, fragment: str) -> _Drawing:
+        """Draws triangles of the index buffer."""
+        program = _program(self._context, "flat_vertex", fragment)
         return _Drawing(
-            program, self._context.vertex_array(program, [(buffer, " ".join(fields), *used)], self._indices)
+            program, self._context.vertex_array(program, [(self._places, "3f", "position")], self._indices)
         )
+
+    def _filling(self, program: Any) -> _Drawing:
+        """Draws the whole viewport."""
+        corners = np.array([-1, -1, 1, -1, -1, 1, 1, 1], dtype=np.float32)
+        content = [(self._context.buffer(corners.tobytes()), "2f", "corner")]
+        return _Drawing(program, self._context.vertex_array(program, content, mode=self._context.TRIANGLE_STRIP))
+
+    def _build_tables(self, whole: Mesh, corners: npt.NDArray[Any], counts: npt.NDArray[np.int64]) -> None:
+        """What the shading looks up.
+
+        Args:
+            whole: all bodies' vertices.
+            corners: (3 t,) vertices of the triangles, in the order of the index buffer.
+            counts: (b,) triangles of each body.
+        """
+        columns = (
+            whole.positions_m,
+            whole.layer[:, None] + whole.gloss[:, None] / 2,
+            whole.normals,
+            whole.uv[:, :1],
+            whole.albedo,
+            whole.uv[:, 1:],
+        )
+        body = np.repeat(np.arange(len(counts)), counts)
+        self._corners = self._table(np.hstack(columns), 3)
+        self._triangles = self._table(np.hstack([corners.reshape(-1, 3), body[:, None]]), 1)
+        self._bodies = self._context.texture((3, len(counts)), 4, dtype="f4")
+
+    def _table(self, rows: npt.NDArray[Any], texels: int) -> Any:
+        """A texture of rows (n, 4 * texels), _ROW of them side by side."""
+        padded = np.zeros((max(-(-len(rows) // _ROW), 1) * _ROW, 4 * texels), dtype=np.float32)
+        padded[: len(rows)] = rows
+        return self._context.texture((_ROW * texels, len(padded) // _ROW), 4, padded.tobytes(), dtype="f4")
 
     def _build_textures(self, stage: Stage) -> None:
         chain = light.mip_chain(stage.textures)
@@ -291,12 +301,45 @@ class GlRenderer:
         self._tiles.build_mipmaps()
         self._tiles.filter = (self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR)
         self._tiles.repeat_x = self._tiles.repeat_y = True
+        self._means = light.layer_means(chain).tolist()
+
+    def _shading(self, grid: int) -> _Shadings:
+        """The programs that turn grid x grid samples into a pixel."""
+        if grid not in self._shadings:
+            names = {"GRID": grid, "ROW": _ROW, "SKY_ONLY": _SKY_ONLY, "MIXED": _MIXED}
+            sort = self._filling(_program(self._context, "screen_vertex", "visible", "sort_fragment", **names))
+            sort.set(visible=_VISIBLE)
+            shade = []
+            for shading in range(_MIXED + 1):
+                mixed = shading == _MIXED
+                kind = _GLOSSY | _VARIED if mixed else shading % _SKY_ONLY
+                program = _program(
+                    self._context,
+                    "screen_vertex",
+                    *("visible", "light", "shade_fragment"),
+                    SKY=int(shading >= _SKY_ONLY),
+                    SURFACE=int(shading != _SKY_ONLY),
+                    GLOSSY=kind & _GLOSSY,
+                    VARIED=kind & _VARIED,
+                    **names,
+                )
+                drawing = self._filling(program)
+                drawing.set(level=shading / 8, **self._lighting())
+                shade.append(drawing)
+            self._shadings[grid] = _Shadings(sort, tuple(shade))
+        return self._shadings[grid]
+
+    def _lighting(self) -> dict[str, Any]:
+        """The uniforms of a shading program that stay as they are."""
         colours = ("to_sun", "sun", "zenith", "horizon", "sky_mean", "bounce", "cloud_bright", "cloud_dark")
-        varies = [light.VARIED_DEPTH if index in light.VARIED_LAYERS else 0.0 for index in range(count)]
-        for drawing in (*self._surfaces, self._sky):
-            drawing.set(**{name: tuple(getattr(self._light, name).ravel()) for name in colours})
-            drawing.set(cloud=self._light.cloud, haze_m=self._light.haze_m, tiles=_TILES, side=side)
-            drawing.set(means=light.layer_means(chain).tolist(), varies=varies)
+        varies = [light.VARIED_DEPTH if index in light.VARIED_LAYERS else 0.0 for index in range(len(LAYERS))]
+        return {
+            **{name: tuple(getattr(self._light, name).ravel()) for name in colours},
+            **{"cloud": self._light.cloud, "haze_m": self._light.haze_m, "side": self._tiles.width},
+            **{"means": self._means, "varies": varies, "sun_axes": tuple(self._sun_axes.T.ravel())},
+            **{"tiles": _TILES, "shadows": _SHADOWS, "visible": _VISIBLE},
+            **{"triangles": _TRIANGLES, "corners": _CORNERS, "bodies": _BODIES},
+        }
 
     def _build_shadows(self) -> None:
         self._sun_axes = _sun_axes(self._light.to_sun.ravel().astype(np.float64))
@@ -308,10 +351,7 @@ class GlRenderer:
         self._still_map, self._shaded_map = (
             self._context.framebuffer(depth_attachment=texture) for texture in (self._still, self._shaded)
         )
-        for drawing in self._surfaces:
-            drawing.set(shadows=_SHADOWS, sun_axes=tuple(self._sun_axes.T.ravel()))
         self._restore.program["still"] = _STILL
-        self._encoding.program["roots"] = _ROOTS
         self._centres: list[Float | None] = [None for _ in _CASCADES]
         self._stale: list[list[Box]] = [[] for _ in _CASCADES]
         self._cast: tuple[Any, ...] | None = None
@@ -380,7 +420,7 @@ class GlRenderer:
         for box in boxes:
             self._shaded_map.viewport = box
             self._shaded_map.scissor = box
-            self._restore.vertices.render(self._context.TRIANGLE_STRIP)
+            self._restore.vertices.render()
         self._context.depth_func = "<="
 
     def _draw_actor_shadows(
@@ -417,8 +457,8 @@ class GlRenderer:
         clip[2, :3] = -self._sun_axes[2] / _SUN_RANGE_M
         return tuple(clip.T.ravel())
 
-    def _set_shadows(self, view: View) -> None:
-        """Tells the surfaces where the shadow maps lie from this camera."""
+    def _shadow_places(self, view: View) -> dict[str, Any]:
+        """Where the shadow maps lie from this camera, as uniforms."""
         eye = self._sun_axes @ view.global_from_cam[:3, 3]
         cascades, squares = [], []
         for cascade in _CASCADES:
@@ -428,81 +468,111 @@ class GlRenderer:
             middle = (np.array([cascade.x, cascade.y]) + half) / _ATLAS
             squares.append((*middle, *(half / _ATLAS)))
         depth = -0.5 / _SUN_RANGE_M, 0.5 - 0.5 * float(eye[2]) / _SUN_RANGE_M
-        for drawing in self._surfaces:
-            drawing.set(cascades=cascades, squares=squares, sun_depth=depth)
+        return {"cascades": cascades, "squares": squares, "sun_depth": depth}
 
     # Pictures
 
-    def _aim(self, drawings: Sequence[_Drawing], view: View, box: Box) -> Float:
-        """Points programs at the part `box` of the picture; the planes (k, 3) through the camera that bound it."""
-        rotation = view.global_from_cam[:3, :3]
-        clip = tuple((_clip_from_cam(view.lens, box) @ _padded(rotation.T)).T.ravel())
-        for drawing in drawings:
-            drawing.set(clip_from_q=clip)
-        return _sides(view.lens, box) @ rotation.T
-
-    def _draw_ground(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
-        """Draws the ground in the part `box`; `drawings` are for the kinds of pieces, one alone draws all."""
-        self._draw_still(drawings, view, self._aim(drawings, view, box), self._ground, GROUND_ID, bias=0.0)
-
-    def _draw_things(self, drawings: Sequence[_Drawing], view: View, box: Box) -> None:
-        """Draws what stands on the ground, as `_draw_ground` does."""
-        planes = self._aim(drawings, view, box)
-        self._draw_still(drawings, view, planes, self._structures, STRUCTURE_ID, bias=1.0)
+    def _set_bodies(self, view: View) -> None:
+        """Tells the shading how the meshes lie to the camera."""
         eye = view.global_from_cam[:3, 3]
+        rows = np.zeros((2 + len(self._actors), 3, 4))
+        rows[:2, :, :3], rows[:2, :, 3] = np.eye(3), eye
+        turned = view.global_from_actor[:, :3, :3].transpose(0, 2, 1)
+        rows[2:, :, :3] = turned
+        rows[2:, :, 3] = np.einsum("aij,aj->ai", turned, eye - view.global_from_actor[:, :3, 3])
+        self._bodies.write(rows.astype(np.float32).tobytes())
+
+    def _draw_all(self, drawing: _Drawing, target: Any, view: View, box: Box) -> None:
+        """Draws all that can be seen in the part `box` of the picture: first what is near, then what that leaves."""
+        clip = _clip_from_cam(view.lens, box)
+        drawing.set(clip_from_q=tuple((clip @ _padded(view.global_from_cam[:3, :3].T)).T.ravel()))
+        seen = self._in_view(view, box)
+        depth_m = seen.corners_cam[..., 2].min(axis=1)
+        order = np.lexsort((depth_m, seen.body, seen.body == _GROUND))
+        near = depth_m[order] < _NEAR_M
+        self._draw_pieces(drawing, view, seen, order[near])
+        order = order[~near]
+        if len(order):
+            squares = np.array(target.viewport[2:]) / _SQUARE
+            hidden = _hidden(seen.corners_cam[order], clip, squares, self._deepest(target))
+            self._draw_pieces(drawing, view, seen, order[~hidden])
+
+    def _in_view(self, view: View, box: Box) -> _Seen:
+        """What reaches into the part `box` of the picture."""
+        rotation, eye = view.global_from_cam[:3, :3], view.global_from_cam[:3, 3]
+        planes = _sides(view.lens, box) @ rotation.T
+        body, piece, corners = [], [], []
+        for number, pieces in ((_GROUND, self._ground), (_STRUCTURES, self._structures)):
+            inside = np.flatnonzero(pieces.inside(planes, planes @ eye))
+            body.append(np.full(len(inside), number))
+            piece.append(inside)
+            corners.append(_corners(pieces.middle[inside], pieces.half[inside]) - eye)
         shown = _shown(view, len(self._actors))
         middle, half = self._extents(view, shown, planes)
         for index in shown[(middle - planes @ eye + half >= 0).all(axis=1)].tolist():
-            pose = view.global_from_actor[index]
-            pieces = self._actors[index]
-            for piece, kind in enumerate(pieces.kind.tolist()):
-                drawing = drawings[kind % len(drawings)]
-                drawing.place(pose[:3, :3], pose[:3, 3] - eye)
-                drawing.set(id=FIRST_ACTOR_ID + index)
-                drawing.draw(pieces, piece)
+            pose, pieces = view.global_from_actor[index], self._actors[index]
+            body.append(np.full(len(pieces.kind), _FIRST_ACTOR + index))
+            piece.append(np.arange(len(pieces.kind)))
+            corners.append(_corners(pieces.middle, pieces.half) @ pose[:3, :3].T + (pose[:3, 3] - eye))
+        return _Seen(np.concatenate(body), np.concatenate(piece), np.concatenate(corners) @ rotation)
 
-    def _draw_still(
-        self, drawings: Sequence[_Drawing], view: View, planes: Float, pieces: _Pieces, id_: int, *, bias: float
-    ) -> None:
-        """Draws what does not move, the nearest pieces first."""
+    def _draw_pieces(self, drawing: _Drawing, view: View, seen: _Seen, order: npt.NDArray[np.int64]) -> None:
         eye = view.global_from_cam[:3, 3]
-        for drawing in drawings:
-            drawing.place(np.eye(3), -eye)
-            drawing.set(id=id_, bias=bias)
-        seen = np.flatnonzero(pieces.inside(planes, planes @ eye))
-        away = np.maximum(np.abs(pieces.middle[seen] - eye) - pieces.half[seen], 0)
-        for piece in seen[np.argsort((away * away).sum(axis=1), kind="stable")].tolist():
-            drawings[pieces.kind[piece] % len(drawings)].draw(pieces, piece)
+        placed = -1
+        for body, piece in zip(seen.body[order].tolist(), seen.piece[order].tolist(), strict=True):
+            index = body - _FIRST_ACTOR
+            if body != placed:
+                pose = np.eye(4) if index < 0 else view.global_from_actor[index]
+                drawing.place(pose[:3, :3], pose[:3, 3] - eye)
+                drawing.set(id=(GROUND_ID, STRUCTURE_ID)[body] if index < 0 else FIRST_ACTOR_ID + index)
+                placed = body
+            drawing.draw((self._ground, self._structures)[body] if index < 0 else self._actors[index], piece)
 
-    def _draw_sky(self, view: View, box: Box) -> None:
-        lens = view.lens
-        cam_from_clip = np.array(
-            [
-                [box[2] / 2 / lens.fx_px, 0, (box[0] + box[2] / 2 - 0.5 - lens.cx_px) / lens.fx_px],
-                [0, box[3] / 2 / lens.fy_px, (box[1] + box[3] / 2 - 0.5 - lens.cy_px) / lens.fy_px],
-                [0, 0, 1],
-            ]
-        )
-        self._context.depth_func = "<="
-        self._sky.program["ray_from_clip"] = tuple((view.global_from_cam[:3, :3] @ cam_from_clip).T.ravel())
-        self._sky.vertices.render(self._context.TRIANGLE_STRIP)
+    def _deepest(self, target: Any) -> npt.NDArray[np.float32]:
+        """Depths that nothing in squares of _SQUARE x _SQUARE samples of the viewport exceeds, 0 to 1."""
+        viewport = target.viewport
+        size = viewport[3] * viewport[2]
+        if len(self._depths) < size:
+            self._depths = np.empty(size, dtype=np.float32)
+        target.read_into(self._depths, viewport, components=1, attachment=-1, dtype="f4")
+        depths = self._depths[:size].reshape(viewport[3], viewport[2])
+        rows, columns = (np.arange(0, side, _SQUARE) for side in depths.shape)
+        deepest: npt.NDArray[np.float32] = np.maximum.reduceat(np.maximum.reduceat(depths, rows), columns, axis=1)
+        return deepest
 
-    def _encode(self, target: _Target, part: Box, grid: int) -> None:
+    def _shade(self, target: _Target, view: View, part: Box, grid: int) -> None:
+        """Turns samples into pixels."""
+        lens, shading = view.lens, self._shading(grid)
+        cam_from_window = np.linalg.inv(lens.matrix) @ np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])
+        seen = {
+            "start": part[:2],
+            "ray_from_window": tuple((view.global_from_cam[:3, :3] @ cam_from_window).T.ravel()),
+            **self._shadow_places(view),
+        }
+        textures = (self._tiles, self._shaded, target.visible, self._triangles, self._corners, self._bodies)
+        units = (_TILES, _SHADOWS, _VISIBLE, _TRIANGLES, _CORNERS, _BODIES)
+        for texture, unit in zip(textures, units, strict=True):
+            texture.use(unit)
         target.bytes.use()
         target.bytes.viewport = part
-        self._context.enable_only(self._context.NOTHING)
-        target.texture.use(_ROOTS)
-        self._encoding.set(start=part[:2], grid=grid)
-        self._encoding.vertices.render(self._context.TRIANGLE_STRIP)
+        self._context.depth_func = "1"
+        shading.sort.set(start=part[:2])
+        shading.sort.vertices.render()
+        self._context.depth_func = "=="
+        for drawing in shading.shade:
+            drawing.set(**seen)
+            drawing.vertices.render()
+        self._context.depth_func = "<="
 
     def _target(self, lens: Pinhole, part: Box, grid: int) -> _Target:
         key = (lens.width_px, lens.height_px, grid)
         if key not in self._targets:
             size = (part[2] * grid, part[3] * grid)
-            texture = self._context.texture(size, 4, dtype="f1")
-            roots = self._context.framebuffer(texture, self._context.depth_renderbuffer(size))
-            coded = self._context.framebuffer(self._context.renderbuffer(key[:2], 4))
-            self._targets[key] = _Target(roots, texture, coded)
+            visible = self._context.texture(size, 1, dtype="f4")
+            samples = self._context.framebuffer(visible, self._context.depth_renderbuffer(size))
+            coded = self._context.renderbuffer(key[:2], 4)
+            bytes_ = self._context.framebuffer(coded, self._context.depth_renderbuffer(key[:2]))
+            self._targets[key] = _Target(samples, visible, bytes_)
         return self._targets[key]
 
     def _instance_target(self, lens: Pinhole) -> Any:
@@ -511,6 +581,20 @@ class GlRenderer:
             colour = self._context.renderbuffer(size, 2, dtype="f4")
             self._instance_targets[size] = self._context.framebuffer(colour, self._context.depth_renderbuffer(size))
         return self._instance_targets[size]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Pieces that may be seen.
+
+    Attributes:
+        body, piece: (n,) which piece of which body.
+        corners_cam: (n, 8, 3) of the boxes that hold them, metres.
+    """
+
+    body: npt.NDArray[np.int64]
+    piece: npt.NDArray[np.int64]
+    corners_cam: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,7 +616,9 @@ class _Drawing:
         self.set(turn=tuple(rotation.T.ravel()), offset_high=tuple(high), offset_low=tuple(offset - high))
 
     def draw(self, pieces: _Pieces, index: int) -> None:
-        self.vertices.render(vertices=int(pieces.count[index]), first=int(pieces.first[index]))
+        first = int(pieces.first[index])
+        self.set(first=4 * (first // 3) + int(pieces.kind[index]) + 1)
+        self.vertices.render(vertices=int(pieces.count[index]), first=first)
 
     def draw_all(self, pieces: _Pieces) -> None:
         for index in range(len(pieces.first)):
@@ -540,14 +626,19 @@ class _Drawing:
 
 
 @dataclass(frozen=True, eq=False)
+class _Shadings:
+    """The programs that make pixels: `sort` tells which of `shade` a pixel needs."""
+
+    sort: _Drawing
+    shade: tuple[_Drawing, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class _Target:
-    """Where a picture is drawn: square roots of all samples' linear values in `texture`, then its bytes.
+    """Where a picture is drawn: what each sample sees in `visible`, then its bytes."""
 
-    Roots, because eight bits hold them well (55 dB against half floats) and llvmpipe writes them much faster.
-    """
-
-    roots: Any
-    texture: Any
+    samples: Any
+    visible: Any
     bytes: Any
 
 
@@ -588,6 +679,37 @@ def _sides(lens: Pinhole, box: Box) -> Float:
             [0, lens.fy_px, -top],
             [0, -lens.fy_px, top + height],
             [0, 0, 1],
+        ]
+    )
+
+
+def _corners(middle: Float, half: Float) -> Float:
+    """(n, 8, 3) corners of boxes (n, 3)."""
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(8, 3)
+    corners: Float = middle[:, None] + half[:, None] * signs
+    return corners
+
+
+def _hidden(
+    corners_cam: Float, clip_from_cam: Float, squares: Float, deepest: npt.NDArray[np.float32]
+) -> npt.NDArray[np.bool_]:
+    """(n,) where all of a box (n, 8, 3) is behind what has been drawn.
+
+    Args:
+        squares: (2,) how many of _SQUARE samples a side the viewport holds, across and down.
+        deepest: (rows, columns) depths that nothing drawn in these squares exceeds, 0 to 1.
+    """
+    clip = corners_cam @ clip_from_cam[:, :3].T + clip_from_cam[:, 3]
+    ahead = clip[..., 3].min(axis=1) > light.NEAR_M
+    window = (clip[..., :3] / np.maximum(clip[..., 3:], light.NEAR_M) + 1) / 2
+    nearest = window[..., 2].min(axis=1) - _DEPTH_ERROR
+    most = deepest.shape[::-1]
+    low = np.clip(np.floor(window[..., :2].min(axis=1) * squares - 0.1), 0, most).astype(int)
+    high = np.clip(np.ceil(window[..., :2].max(axis=1) * squares + 0.1), 0, most).astype(int)
+    return np.array(
+        [
+            clear and near > deepest[top:bottom, left:right].max(initial=0)
+            for clear, near, (left, top), (right, bottom) in zip(ahead, nearest, low, high, strict=True)
         ]
     )
 
@@ -649,17 +771,16 @@ def _pieces(mesh: Mesh, cell_m: float, first_index: int) -> _Pieces:
     )
 
 
-def _program(context: Any, vertex: str, common: str, fragment: str, **switches: int) -> Any:
+def _program(context: Any, vertex: str, *fragment: str, **switches: int) -> Any:
     """A GL program of files in `shaders/`, headed by the constants of `light`."""
     folder = resources.files("unidrive_cli.synth") / "shaders"
-    lines = ["#version 330", f"#define LAYER_COUNT {len(LAYERS)}", "#define FRONT_IS_OUTSIDE false"]
+    lines = ["#version 330", f"#define LAYER_COUNT {len(LAYERS)}"]
     lines += [f"#define {name} {value}" for name, value in switches.items()]
     for name, value in light.constants().items():
         lines.append(f"#define {name} {int(value) if name.endswith('_LAYER') else value!r}")
     head = "\n".join(lines) + "\n"
-    text = {
-        name: (folder / f"{name}.glsl").read_text(encoding="utf-8") for name in (vertex, common, fragment) if name
-    }
-    return context.program(
-        vertex_shader=head + text[vertex], fragment_shader=head + text.get(common, "") + text[fragment]
-    )
+    whole = [
+        head + "".join((folder / f"{name}.glsl").read_text(encoding="utf-8") for name in names)
+        for names in ((vertex,), fragment)
+    ]
+    return context.program(vertex_shader=whole[0], fragment_shader=whole[1])

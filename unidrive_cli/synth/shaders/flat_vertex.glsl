@@ -6,7 +6,8 @@ uniform vec3 axis;
 in vec3 position;
 out float depth_m;
 
-invariant gl_Position;  // the depth pass and the shading pass must agree to the last bit
+// q is the place relative to the camera along the global axes; the offset comes in two parts, so that a scene
+// hundreds of metres from its origin keeps its micrometres near the camera.
 
 void main() {
     vec3 q = (turn * position + offset_high) + offset_low;

@@ -1,5 +1,6 @@
+uniform float level;
 in vec2 corner;
 
 void main() {
-    gl_Position = vec4(corner, 0.0, 1.0);
+    gl_Position = vec4(corner, level, 1.0);
 }
