@@ -32,7 +32,7 @@ def grid(global_from_box: Float, size_wlh_m: Float, unit_points: Float) -> Float
     """
     half_xyz = size_wlh_m[..., [1, 0, 2]] / 2
     local = unit_points * half_xyz[..., None, :]
-    placed: Float = local @ np.swapaxes(global_from_box[..., :3, :3], -1, -2)
+    placed: Float = np.matmul(local, np.swapaxes(global_from_box[..., :3, :3], -1, -2))
     placed += global_from_box[..., None, :3, 3]
     return placed
 
