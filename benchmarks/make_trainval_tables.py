@@ -15,6 +15,7 @@ makes links for every row except sweeps of cameras, and takes longer to make and
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 from collections.abc import Iterator
@@ -41,19 +42,50 @@ SWEEPS = {"CAM": 5, "LID": 9, "RAD": 5}
 """Sweeps between two key frames; the radars' sixth is there as often as the number of rows asks for it."""
 LINKS_PER_FILE = 60_000
 """Below what ext4 allows."""
-CATEGORIES = tuple(
-    "noise animal human.pedestrian.adult human.pedestrian.child human.pedestrian.construction_worker "
-    "human.pedestrian.personal_mobility human.pedestrian.police_officer human.pedestrian.stroller "
-    "human.pedestrian.wheelchair movable_object.barrier movable_object.debris movable_object.pushable_pullable "
-    "movable_object.trafficcone static_object.bicycle_rack vehicle.bicycle vehicle.bus.bendy vehicle.bus.rigid "
-    "vehicle.car vehicle.construction vehicle.emergency.ambulance vehicle.emergency.police vehicle.motorcycle "
-    "vehicle.trailer vehicle.truck flat.driveable_surface flat.other flat.sidewalk flat.terrain static.manmade "
-    "static.other static.vegetation vehicle.ego".split()
+CATEGORIES = (
+    "noise",
+    "animal",
+    "human.pedestrian.adult",
+    "human.pedestrian.child",
+    "human.pedestrian.construction_worker",
+    "human.pedestrian.personal_mobility",
+    "human.pedestrian.police_officer",
+    "human.pedestrian.stroller",
+    "human.pedestrian.wheelchair",
+    "movable_object.barrier",
+    "movable_object.debris",
+    "movable_object.pushable_pullable",
+    "movable_object.trafficcone",
+    "static_object.bicycle_rack",
+    "vehicle.bicycle",
+    "vehicle.bus.bendy",
+    "vehicle.bus.rigid",
+    "vehicle.car",
+    "vehicle.construction",
+    "vehicle.emergency.ambulance",
+    "vehicle.emergency.police",
+    "vehicle.motorcycle",
+    "vehicle.trailer",
+    "vehicle.truck",
+    "flat.driveable_surface",
+    "flat.other",
+    "flat.sidewalk",
+    "flat.terrain",
+    "static.manmade",
+    "static.other",
+    "static.vegetation",
+    "vehicle.ego",
 )
-ATTRIBUTES = (
-    "vehicle.moving vehicle.stopped vehicle.parked cycle.with_rider cycle.without_rider "
-    "pedestrian.sitting_lying_down pedestrian.standing pedestrian.moving".split()
-)
+ATTRIBUTES = [
+    "vehicle.moving",
+    "vehicle.stopped",
+    "vehicle.parked",
+    "cycle.with_rider",
+    "cycle.without_rider",
+    "pedestrian.sitting_lying_down",
+    "pedestrian.standing",
+    "pedestrian.moving",
+]
 LOCATIONS = ("singapore-onenorth", "singapore-hollandvillage", "singapore-queenstown", "boston-seaport")
 
 
@@ -81,7 +113,7 @@ class Writer:
 def shares(total: int, parts: int) -> list[int]:
     """`total` in `parts` whole numbers that differ by one at most."""
     edges = [total * part // parts for part in range(parts + 1)]
-    return [after - before for before, after in zip(edges, edges[1:], strict=False)]
+    return [after - before for before, after in itertools.pairwise(edges)]
 
 
 class Maker:
@@ -276,7 +308,7 @@ class Maker:
         )
         self._ego_poses(tokens, clocks, drive, int(times_us[0]))
         for name, key in zip(names, keys, strict=True):
-            if self._files == "all" and (key or channel not in CAMERAS) or (
+            if (self._files == "all" and (key or channel not in CAMERAS)) or (
                 self._files == "keyframes" and key and channel in CAMERAS
             ):  # fmt: skip
                 self._link(name)
@@ -379,10 +411,21 @@ class Maker:
         self._links += 1
 
 
-TABLES = (
-    "attribute calibrated_sensor category ego_pose instance log map sample sample_annotation sample_data scene sensor "
-    "visibility".split()
-)
+TABLES = [
+    "attribute",
+    "calibrated_sensor",
+    "category",
+    "ego_pose",
+    "instance",
+    "log",
+    "map",
+    "sample",
+    "sample_annotation",
+    "sample_data",
+    "scene",
+    "sensor",
+    "visibility",
+]
 
 
 def main() -> None:
