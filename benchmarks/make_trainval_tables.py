@@ -3,8 +3,8 @@
     python benchmarks/make_trainval_tables.py OUT [--scale S] [--files none|keyframes|all] [--seed N]
 
 Writes OUT/v1.0-trainval with all 13 tables in nuScenes' own row shapes, key order and text (one number a line),
-links and counts honest, sweeps included. What they hold is made up, and the same bytes for the same scale and seed; their
-rows lie by scene, channel and time. `--scale` makes that share of the scenes.
+links and counts honest, sweeps included. What they hold is made up, and the same bytes for the same scale and
+seed; their rows lie by scene, channel and time. `--scale` makes that share of the scenes.
 
 There are no pictures to see. A conversion's plan asks the disk for every camera key frame's file, its size and the
 first kilobytes of one per calibration: `--files keyframes` (default) gives each of them a hard link to a black JPEG,
