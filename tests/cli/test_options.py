@@ -13,30 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.datasets import CHANNELS, SMALL_RIG, VERSION, Bench, paint, rows, rows_of, tree, unidrive
+from tests.datasets import CHANNELS, SMALL_RIG, VERSION, Bench, rows, rows_of, tree, unidrive
 from unidrive_cli import __version__
 
 SCENES = ("scene-0061", "scene-0103")
 SAMPLES = 4
 CAMERAS = 6
-
-
-@pytest.fixture(scope="session")
-def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return paint(tmp_path_factory.mktemp("painted") / "drive", scenes=2, samples=2)
-
-
-@pytest.fixture
-def bench(painted: Path, tmp_path: Path) -> Bench:
-    return Bench(tmp_path, painted)
-
-
-@pytest.fixture(scope="session")
-def default(painted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The painted drive, converted with no options at all."""
-    bench = Bench(tmp_path_factory.mktemp("default"), painted)
-    bench.converted()
-    return bench.dst
 
 
 def options_of(root: Path) -> dict[str, Any]:

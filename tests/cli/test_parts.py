@@ -9,28 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.datasets import SCRIPT, Bench, Run, assert_consistent, paint, tree, unidrive
+from tests.datasets import SCRIPT, Bench, Run, assert_consistent, tree, unidrive
 from unidrive_cli.tables.destination import held
 
 SAMPLES = 4
-
-
-@pytest.fixture(scope="session")
-def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return paint(tmp_path_factory.mktemp("painted") / "drive", scenes=2, samples=2)
-
-
-@pytest.fixture
-def bench(painted: Path, tmp_path: Path) -> Bench:
-    return Bench(tmp_path, painted)
-
-
-@pytest.fixture(scope="session")
-def whole(painted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The painted drive, converted at once."""
-    bench = Bench(tmp_path_factory.mktemp("whole"), painted)
-    bench.converted()
-    return bench.dst
 
 
 def finalise(bench: Bench, *options: object, dst: Path | None = None) -> Run:
@@ -43,7 +25,7 @@ def receipts(dst: Path) -> int:
 
 @pytest.mark.parametrize("order", [(1, 2, 3), (3, 1, 2)])
 def test_parts_and_finalise_are_the_same_bytes_as_the_whole(
-    bench: Bench, whole: Path, order: tuple[int, ...]
+    bench: Bench, default: Path, order: tuple[int, ...]
 ) -> None:
     for number in order:
         run = bench.convert("--part", f"{number}/3")
@@ -55,19 +37,19 @@ def test_parts_and_finalise_are_the_same_bytes_as_the_whole(
     done = finalise(bench)
     assert done.code == 0, done.stderr
     assert_consistent(bench.dst)
-    assert tree(bench.dst, apart=("run.json",)) == tree(whole, apart=("run.json",))
+    assert tree(bench.dst, apart=("run.json",)) == tree(default, apart=("run.json",))
 
 
-def test_convert_without_part_finishes_what_parts_have_done(bench: Bench, whole: Path) -> None:
+def test_convert_without_part_finishes_what_parts_have_done(bench: Bench, default: Path) -> None:
     assert bench.convert("--part", "1/1").code == 0
     pictures = {path: path.stat().st_mtime_ns for path in (bench.dst / "samples").rglob("*.jpg")}
     assert len(pictures) == SAMPLES * 2
     bench.converted()
-    assert tree(bench.dst, apart=("run.json",)) == tree(whole, apart=("run.json",))
+    assert tree(bench.dst, apart=("run.json",)) == tree(default, apart=("run.json",))
     assert pictures == {path: path.stat().st_mtime_ns for path in pictures}
 
 
-def test_parts_at_the_same_time(bench: Bench, whole: Path) -> None:
+def test_parts_at_the_same_time(bench: Bench, default: Path) -> None:
     """Four processes that begin DST together."""
     command = [SCRIPT, "convert", str(bench.src), str(bench.dst), "--rig", str(bench.rig), "--jobs", "0", "--part"]
     running = [
@@ -78,7 +60,7 @@ def test_parts_at_the_same_time(bench: Bench, whole: Path) -> None:
         said = process.communicate(timeout=120)
         assert process.returncode == 0, said
     assert finalise(bench).code == 0
-    assert tree(bench.dst, apart=("run.json",)) == tree(whole, apart=("run.json",))
+    assert tree(bench.dst, apart=("run.json",)) == tree(default, apart=("run.json",))
 
 
 def test_a_part_says_what_is_left(bench: Bench) -> None:
@@ -213,21 +195,21 @@ def test_finalise_without_skip_says_what_failed(bench: Bench) -> None:
     assert "--on-error skip leaves them out" in run.said
 
 
-def test_a_failure_that_was_mended_is_forgotten(broken: Bench, painted: Path, whole: Path) -> None:
+def test_a_failure_that_was_mended_is_forgotten(broken: Bench, painted: Path, default: Path) -> None:
     skip = ("--on-error", "skip")
     assert broken.convert("--part", "1/1", *skip).code == 1
     shutil.copyfile(painted / broken.picture(0).relative_to(broken.src), broken.picture(0))
     assert broken.convert("--part", "1/1", *skip).code == 0
     assert finalise(broken).code == 0
     assert json.loads((broken.dst / "unidrive.json").read_text())["failures"] == []
-    assert tree(broken.dst, apart=("run.json",)) == tree(whole, apart=("run.json",))
+    assert tree(broken.dst, apart=("run.json",)) == tree(default, apart=("run.json",))
 
 
 def test_samples_left_out_of_a_finished_dataset_are_tried_again_by_a_part(
-    broken: Bench, painted: Path, whole: Path
+    broken: Bench, painted: Path, default: Path
 ) -> None:
     assert broken.convert("--on-error", "skip").code == 1
     shutil.copyfile(painted / broken.picture(0).relative_to(broken.src), broken.picture(0))
     assert broken.convert("--part", "1/2").code == 0
     assert finalise(broken).code == 0
-    assert tree(broken.dst, apart=("run.json",)) == tree(whole, apart=("run.json",))
+    assert tree(broken.dst, apart=("run.json",)) == tree(default, apart=("run.json",))

@@ -150,8 +150,9 @@ def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:
     """Whether an outline inside the picture holds a pixel of a mask."""
     low, high = np.array(outline.bounds).reshape(2, 2)
     part = _covered(mask, low, high)
-    if _is_full(part) or not cv2.countNonZero(part):
-        return bool(part.any())
+    count = cv2.countNonZero(part)
+    if count in (0, part.size):
+        return count > 0
     inside = np.zeros(part.shape, dtype=np.uint8)
     polygon = np.rint(shapely.get_coordinates(outline) - low.astype(int)).astype(np.int32)
     cv2.fillConvexPoly(inside, polygon, (1,))

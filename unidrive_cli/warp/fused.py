@@ -105,16 +105,21 @@ def _whole_lanes(n):
     return (n + LANES - 1) // LANES * LANES
 
 
+@njit(inline="always", **_OPTIONS)
+def _inverse_depth_at(x, square, per_length, ground_x, ground):
+    """w of one pixel: `square` is y^2 + 1, `ground` what x leaves alone of -(n . R r) / h."""
+    ball = np.sqrt(x * x + square) * per_length
+    plane = ground_x * x + ground
+    return ball if ball > plane else plane
+
+
 @njit(**_INNER)
 def _inverse_depth(xs, start, n, y, scene, floats):
     """w of `n` pixels of a row, from `start` on, into the same places of the scratch."""
     per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
     ground, square = _f4(scene[GROUND + 1] * y + scene[GROUND + 2]), _f4(y * y + 1)
     for i in range(_u8(start), _u8(start + n)):
-        x = xs[i]
-        ball = np.sqrt(x * x + square) * per_length
-        plane = ground_x * x + ground
-        floats[_WS, i] = ball if ball > plane else plane
+        floats[_WS, i] = _inverse_depth_at(xs[i], square, per_length, ground_x, ground)
 
 
 @njit(**_INNER)
@@ -124,10 +129,8 @@ def _place_nodes(x_start, x_step, n, y, scene, floats):
     ground, square = _f4(scene[GROUND + 1] * y + scene[GROUND + 2]), _f4(y * y + 1)
     for i in range(_u8(n)):
         x = x_start + _f4(_i4(i)) * x_step
-        ball = np.sqrt(x * x + square) * per_length
-        plane = ground_x * x + ground
         floats[_NODE_XS, i] = x
-        floats[_NODE_WS, i] = ball if ball > plane else plane
+        floats[_NODE_WS, i] = _inverse_depth_at(x, square, per_length, ground_x, ground)
 
 
 @njit(**_INNER)
@@ -393,9 +396,7 @@ def _see(xs, start, end, y, scene, models, j, seen):
     ground = scene[GROUND + 1] * y + scene[GROUND + 2]
     for i in range(_u8(start), _u8(end)):
         x = xs[i]
-        ball = np.sqrt(x * x + square) * per_length
-        plane = ground_x * x + ground
-        w = ball if ball > plane else plane
+        w = _inverse_depth_at(x, square, per_length, ground_x, ground)
         least = np.inf
         for k in range(LIMITS, LIMITS + 4):
             value = models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w

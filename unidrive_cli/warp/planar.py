@@ -141,6 +141,7 @@ class Canvas:
         self.xs = [
             (columns - lens.cx_px) / lens.fx_px for columns in (np.arange(float(width)), _chroma_places(width))
         ]
+        self._xs32 = [np.append(xs, np.zeros(fused.LANES)).astype(np.float32) for xs in self.xs]
         self.ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
         self._memory = np.empty(width * height + 2 * chroma + 3 * fused.LANES, dtype=np.uint8)
         self._covered = np.empty(width * height, dtype=np.uint8)
@@ -168,10 +169,10 @@ class Canvas:
             self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
         fused.draw_view(
             self.xs[0],
-            _padded(self.xs[0]),
+            self._xs32[0],
             self.ys[0],
             self.xs[1],
-            _padded(self.xs[1]),
+            self._xs32[1],
             self.ys[1],
             self.scene,
             source_models(self.view, sources),
@@ -224,10 +225,6 @@ def _half(size_px: int) -> int:
 def _chroma_places(size_px: int) -> Float:
     """Pixel coordinates of the chroma samples along a side: each stands between two pixels."""
     return 2.0 * np.arange(_half(size_px)) + 0.5
-
-
-def _padded(xs: Float) -> npt.NDArray[np.float32]:
-    return np.append(xs, np.zeros(fused.LANES)).astype(np.float32)
 
 
 def _plane(memory: Bytes, row: npt.NDArray[np.int64], plane: int) -> Bytes:

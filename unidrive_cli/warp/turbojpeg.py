@@ -1,8 +1,7 @@
 """libturbojpeg, where the system has it: JPEG files to YUV 4:2:0 planes and back, without a colour conversion.
 
-The functions of the library's second interface (1.4 and later, kept by version 3) are called directly:
-they are five, and the wrappers in the package index want one version of the library or take new memory
-for every picture.
+The functions of the library's second interface (1.4 and later, kept by version 3) are called directly: they are
+few, and the wrappers in the package index want one version of the library or take new memory for every picture.
 """
 
 from __future__ import annotations
