@@ -6,6 +6,8 @@ import random
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.plan import Plan
 from unidrive_cli.errors import CheckError, UnidriveError
@@ -65,7 +67,7 @@ def verify(plan: Plan, root: Path) -> Verified:
 
 
 def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:
-    rows = [row for row in dataset.sample_data.rows if dataset.sensor_of(row).modality == "camera"]
+    rows = list(dataset.sample_data.rows_at(np.flatnonzero(dataset.of_cameras)))
     for row in rows:
         path = root / row.filename
         if not path.is_file() or not path.stat().st_size:

@@ -48,6 +48,20 @@ class Inside:
         self._top_folders: dict[str, str] = {}
         self._safe_folders: set[str] = set()
 
+    def has_links(self, folder: str) -> bool:
+        """Whether anything in a folder (checked by name, relative to the root) is a link; False where it is missing.
+
+        Raises:
+            DatasetError: the folder cannot be read.
+        """
+        try:
+            with os.scandir(f"{self._root}/{folder}") as entries:
+                return any(entry.is_symlink() for entry in entries)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError as error:
+            raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename)) from error
+
     def resolve(self, filename: str, where: str) -> Path:
         """The file's path below the root.
 

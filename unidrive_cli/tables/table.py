@@ -169,7 +169,7 @@ class ListedTable(Table[R]):
 
     def numbers(self, field: str) -> Float:
         rows = [getattr(row, field) for row in self.rows]
-        return np.array(rows, dtype=np.float64).reshape(len(rows), -1)
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 0)
 
     def flags(self, field: str) -> Bool:
         return np.array([getattr(row, field) for row in self.rows], dtype=bool)
