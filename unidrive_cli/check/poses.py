@@ -35,7 +35,8 @@ def check_poses(dataset: Dataset) -> None:
                 where=table.place(rows[int(bad[0])], "translation"),
             )
     sizes = dataset.sample_annotation.numbers("size")
-    for box in dataset.sample_annotation.rows_at(np.flatnonzero(~((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1))):
+    sane = ((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1)
+    for box in dataset.sample_annotation.rows_at(np.flatnonzero(~sane)[:1]):
         raise DatasetError(
             f"{list(box.size)}: width, length and height must be from 0 to {MAX_SIZE_M:g} metres.",
             where=dataset.sample_annotation.place(box, "size"),

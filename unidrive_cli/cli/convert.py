@@ -191,7 +191,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
     estimate = plan.estimated_bytes()
     scenes = len({unit.scene.token for unit in plan.units})
     sources = sum(len(unit.sources) for unit in plan.units)
-    annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
+    annotations = sum(len(plan.dataset.annotation_indices(unit.sample.token)) for unit in plan.units)
     sizes = sorted({f"{camera.lens.width_px}x{camera.lens.height_px}" for camera in plan.rig.cameras})
     copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
     document: dict[str, Any] = {

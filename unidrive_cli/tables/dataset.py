@@ -20,6 +20,7 @@ from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
 from unidrive_cli.tables.converted import MARKER
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.paths import Inside
+from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.schema import (
     NEEDED,
     NUSCENES_VISIBILITY,
@@ -38,7 +39,6 @@ from unidrive_cli.tables.schema import (
     Sensor,
     Visibility,
 )
-from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.table import Indices, ListedTable, Table, read_table, table_of
 
 LIDAR_REFERENCE = "LIDAR_TOP"

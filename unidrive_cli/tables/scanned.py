@@ -1,4 +1,4 @@
-"""Tables of millions of rows: DuckDB holds the columns that link them, their text stays in the file until asked for."""
+"""Tables of millions of rows: DuckDB holds the columns that link them, the text of a row stays in its file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints, overload
 
@@ -77,7 +76,7 @@ class ScannedTable(Table[R]):
         self.size_bytes = file.size_bytes
         self._store = store
         self._file = file
-        self._decode = msgspec.json.Decoder(TABLES[name]).decode
+        self._decode: Callable[[bytes], Any] = msgspec.json.Decoder(TABLES[name]).decode
         self._links: dict[tuple[str, str], Indices] = {}
         self._expected: dict[str, int] = {}
         self.rows: Sequence[R] = _Sequence(file.row_count, self.rows_at)
@@ -151,9 +150,9 @@ class _Sequence(Sequence[Any]):
     @overload
     def __getitem__(self, index: slice) -> list[Any]: ...
     def __getitem__(self, index: int | slice) -> Any:
-        indices = np.arange(self._count)[index] if isinstance(index, slice) else np.array([range(self._count)[index]])
-        found = list(self._at(indices))
-        return found if isinstance(index, slice) else found[0]
+        if isinstance(index, slice):
+            return list(self._at(np.arange(self._count)[index]))
+        return next(self._at(np.array([range(self._count)[index]])))
 
 
 class _File:
@@ -234,8 +233,9 @@ class _Store:
         import duckdb  # only where tables are large: its import takes a tenth of a second
 
         self._error = duckdb.Error
-        options = {"autoinstall_known_extensions": False, "autoload_known_extensions": False, "temp_directory": ""}
-        self._database = duckdb.connect(config=options)
+        self._database = duckdb.connect(
+            config={"autoinstall_known_extensions": False, "autoload_known_extensions": False, "temp_directory": ""}
+        )
 
     def load(self, path: Path, name: str) -> int:
         """Loads a table's columns; returns the number of its rows.
@@ -278,7 +278,8 @@ class _Store:
             f"anti join {known} on link = token order by position",
             given,
         )
-        return found["position"].astype(np.int64)
+        positions: Indices = found["position"].astype(np.int64)
+        return positions
 
     def columns(self, name: str, fields: Sequence[str]) -> Float:
         """(n, k) float64 columns of a loaded table."""
@@ -291,7 +292,7 @@ class _Store:
         Names that are not plain are of the folder ''.
         """
         found = self._fetch(f"select distinct folder from {name} order by folder", {})["folder"].tolist()
-        folders = "(select folder as link, rowid as position from {})".format(name)
+        folders = f"(select folder as link, rowid as position from {name})"
         codes = self._joined(folders, "(select token, position as place from given)", _numbered(found))
         return [folder.rstrip("/") for folder in found], codes
 
@@ -301,7 +302,8 @@ class _Store:
             f"from {wanted} left join {known} on link = token order by position",
             given,
         )
-        return found["place"].astype(np.int64)
+        places: Indices = found["place"].astype(np.int64)
+        return places
 
     def _fetch(self, query: str, given: dict[str, Any]) -> dict[str, Any]:
         connection = self._database.cursor()

@@ -27,7 +27,7 @@ def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
     changes: dict[int, dict[str, Any]] = {}
     for direction in ("prev", "next"):
         links = table.links(direction, table)
-        open_ends = np.flatnonzero(kept & (links != EMPTY) & ~_is_in(kept, links))
+        open_ends = np.flatnonzero(kept & (links != EMPTY) & ~are_kept(kept, links))
         if not len(open_ends):
             continue
         ends = _followed(links, kept)[links[open_ends]]
@@ -38,8 +38,9 @@ def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
     return changes
 
 
-def _is_in(kept: Bool, links: Indices) -> Bool:
-    inside: Bool = (links >= 0) & kept[links]
+def are_kept(kept: Bool, links: Indices) -> Bool:
+    """Whether links lead to rows that stay; those that are empty or lead nowhere do not."""
+    inside: Bool = (links >= 0) & kept[np.maximum(links, 0)]
     return inside
 
 

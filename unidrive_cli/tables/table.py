@@ -165,7 +165,8 @@ class ListedTable(Table[R]):
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         lists = [getattr(row, field) for row in self.rows]
         owners = np.repeat(np.arange(len(lists)), [len(tokens) for tokens in lists])
-        return np.unique(owners[target.find([token for tokens in lists for token in tokens]) < 0])
+        dangling: Indices = np.unique(owners[target.find([token for tokens in lists for token in tokens]) < 0])
+        return dangling
 
     def numbers(self, field: str) -> Float:
         rows = [getattr(row, field) for row in self.rows]
