@@ -14,7 +14,6 @@ from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
 from unidrive_cli.tables.table import table_of
 
-
 Node = tuple[str, str, str]
 """token, prev, next"""
 

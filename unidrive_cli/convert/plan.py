@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import re
 import stat
 from collections import Counter
@@ -281,7 +282,8 @@ def _check_cameras(plan: Plan) -> None:
     stop = plan.options.on_error == "stop"
     for unit in plan.units:
         for row in unit.sources:
-            path, place = dataset.path_of(row), dataset.sample_data.place(row, "filename")
+            place = dataset.sample_data.place(row, "filename")
+            path = dataset.files.locate(row.filename, place)
             if stop:
                 _refuse_missing(path, place)
             calibration = (row.calibrated_sensor_token, row.width, row.height)
@@ -292,12 +294,12 @@ def _check_cameras(plan: Plan) -> None:
                 size = picture_size_of(dataset, row, size_of_file)
                 lens_and_pose(dataset, row, size)
                 if stop:
-                    check_size(read_head(path, SKIP_HINT), size, str(path))
+                    check_size(read_head(Path(path), SKIP_HINT), size, path)
 
 
-def _refuse_missing(path: Path, place: str) -> None:
+def _refuse_missing(path: str, place: str) -> None:
     try:
-        status = path.stat()
+        status = os.stat(path)
         if stat.S_ISREG(status.st_mode) and status.st_size > 0:
             return
         what = "is empty" if stat.S_ISREG(status.st_mode) else "is no file"

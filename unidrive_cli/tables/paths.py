@@ -68,6 +68,10 @@ class Inside:
         Raises:
             DatasetError: the name is not safe, or a link leads out of the dataset.
         """
+        return Path(self.locate(filename, where))
+
+    def locate(self, filename: str, where: str) -> str:
+        """As `resolve`, for very many files."""
         check_filename(filename, where)
         full = f"{self._root}/{filename}"
         folder = os.path.dirname(full)
@@ -78,7 +82,7 @@ class Inside:
             self._safe_folders.add(folder)
         if os.path.islink(full):
             self._refuse_outside(full, filename, where)
-        return Path(full)
+        return full
 
     def _refuse_outside(self, path: str, filename: str, where: str) -> None:
         real = os.path.realpath(path)

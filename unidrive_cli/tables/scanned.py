@@ -24,11 +24,12 @@ SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
 _PIECE_ROWS = 1 << 14
-_NAME = "[A-Za-z0-9_][A-Za-z0-9_.+=@ -]*"
-_FOLDER_OF_PLAIN_NAME = f"^((?:{_NAME}/)+){_NAME}$"
-_MAX_PLAIN_CHARACTERS = 255
-_NOT_JSON = (b"NaN", b"Infinity")
-"""What Python writes and DuckDB reads, but JSON does not have."""
+_FOLDER = """
+case when strlen(filename) <= 255 and filename[1] not in ('/', '.') and not contains(filename, '..')
+and not contains(filename, '/.') and not contains(filename, '//') and not contains(filename, chr(92))
+and not contains(filename, chr(0)) then left(filename, length(filename) - strpos(reverse(filename), '/'))
+else '' end as folder"""
+"""SQL: the folder of a file name in which nothing is unusual; '' of others, and of names without a folder."""
 
 
 class _Odd(Exception):
@@ -66,7 +67,8 @@ def scan_tables(folder: Path, names: Sequence[str]) -> dict[str, ScannedTable[An
 class ScannedTable(Table[R]):
     """A table of which DuckDB holds the columns, with tokens as 64-bit hashes that are unique in it.
 
-    A row is decoded, and checked field by field, when it is asked for.
+    A row is decoded, and checked field by field, when it is asked for; of the others it is known that they are
+    JSON objects with all fields that the schema wants, of which the numbers are numbers.
     """
 
     def __init__(self, store: _Store, name: str, file: _File) -> None:
@@ -174,22 +176,19 @@ class _File:
         self._state = self._state_now()
         digest = hashlib.sha256()
         begins, ends = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-        orderly, at, tail = True, 0, b""
+        at = 0
         buffer = bytearray(_PIECE_BYTES)
         while size := self._stream.readinto(buffer):
-            piece = buffer[:size]
+            piece = memoryview(buffer)[:size]
             digest.update(piece)
             codes = np.frombuffer(piece, dtype=np.uint8)
             begins.append(np.flatnonzero(codes == ord("{")) + at)
             ends.append(np.flatnonzero(codes == ord("}")) + at + 1)
-            seam = tail + piece[: len(_NOT_JSON[-1])]
-            orderly = orderly and not any(word in text for word in _NOT_JSON for text in (piece, seam))
-            tail = bytes(piece[-len(_NOT_JSON[-1]) :])
             at += size
         self.size_bytes = at
         self.digest = digest.hexdigest()
         self._begins, self._ends = np.concatenate(begins), np.concatenate(ends)
-        self.row_count = len(self._begins) if orderly and len(self._begins) == len(self._ends) else -1
+        self.row_count = len(self._begins) if len(self._begins) == len(self._ends) else -1
 
     def texts(self, indices: Indices) -> Iterator[bytes]:
         """The text of some rows; neighbours are read together.
@@ -287,14 +286,11 @@ class _Store:
         return np.stack([np.asarray(found[field], dtype=np.float64) for field in fields], axis=1)
 
     def folders(self, name: str) -> tuple[list[str], Indices]:
-        """The folders of plain file names, without `/` at their end, and the number of each row's folder.
-
-        Names that are not plain are of the folder ''.
-        """
+        """The folders of plain file names ('' for all others), and the number of each row's folder."""
         found = self._fetch(f"select distinct folder from {name} order by folder", {})["folder"].tolist()
         folders = f"(select folder as link, rowid as position from {name})"
         codes = self._joined(folders, "(select token, position as place from given)", _numbered(found))
-        return [folder.rstrip("/") for folder in found], codes
+        return found, codes
 
     def _joined(self, wanted: str, known: str, given: dict[str, Any]) -> Indices:
         found = self._fetch(
@@ -349,8 +345,7 @@ def _columns(row_type: type[Row]) -> tuple[str, list[str], list[str]]:
         elif hint is bool:
             kept = [field]
         elif field == "filename":
-            folder = f"regexp_extract({field}, '{_FOLDER_OF_PLAIN_NAME}', 1)"
-            kept = [f"case when length({field}) <= {_MAX_PLAIN_CHARACTERS} then {folder} else '' end as folder"]
+            kept = [_FOLDER]
         if kept or definition.required:
             read.append(f"{field}: '{_sql_type(hint)}'")
         if definition.required:
