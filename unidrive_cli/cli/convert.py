@@ -62,7 +62,11 @@ LINK = option(
 ON_ERROR = option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out.")
 KERNEL = option("auto", "--kernel", help="What warps: the fused kernel (numba), or OpenCV.")
 CODEC = option("auto", "--codec", help="What decodes and encodes for the kernel numba.")
-VERIFY = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all.")
+VERIFY = option(
+    "sample",
+    "--verify",
+    help="Decode a sample of the pictures at the end (and open 20 scenes with the devkit), or all.",
+)
 
 
 @guarded
