@@ -15,11 +15,10 @@ from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
+from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
 from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_scenes
 from unidrive_cli.tables.table import EMPTY, ListedTable, RawRow, Table, changed
 from unidrive_cli.tables.tokens import derived_token
-
-IMAGE_ANNOTATIONS = "image_annotations"
 
 
 @dataclass
@@ -224,6 +223,9 @@ class OutputTables:
         for unit in self._units:
             indices = dataset.annotation_indices(unit.sample.token).tolist()
             annotations = dataset.annotations(unit.sample.token)
+            pictures = [
+                self._token("sample_data", unit.sample.token, channel) for channel in self._plan.rig.channels
+            ]
             for box in self._receipts[unit.sample.token].boxes:
                 row, index = annotations[box.annotation], indices[box.annotation]
                 if not kept[index]:
@@ -240,9 +242,7 @@ class OutputTables:
                     num_radar_pts=row.num_radar_pts,
                     prev=mended.get("prev", row.prev),
                     sample_annotation_token=row.token,
-                    sample_data_token=self._token(
-                        "sample_data", unit.sample.token, self._plan.rig.channels[box.camera]
-                    ),
+                    sample_data_token=pictures[box.camera],
                     visibility_token=lowered.get(index, row.visibility_token),
                 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -29,6 +30,7 @@ RawRow = bytes | msgspec.Raw
 Indices = npt.NDArray[np.int64]
 EMPTY, NOWHERE = -1, -2
 """In place of a row's index: the field is empty; the token is not in the table."""
+_ROWS_A_WRITE = 4096
 _AGAIN = "Unpack or copy the table again."
 
 
@@ -243,10 +245,11 @@ def write_rows(path: Path, raw: Iterable[RawRow]) -> int:
     temporary = path.with_name(path.name + ".part")
     with temporary.open("wb") as stream:
         stream.write(b"[")
-        for text in raw:
+        rows = iter(raw)
+        while batch := list(itertools.islice(rows, _ROWS_A_WRITE)):
             stream.write(b",\n" if count else b"\n")
-            stream.write(memoryview(text) if isinstance(text, msgspec.Raw) else text)
-            count += 1
+            stream.write(b",\n".join(batch))
+            count += len(batch)
         stream.write(b"\n]\n")
         stream.flush()
         os.fsync(stream.fileno())
