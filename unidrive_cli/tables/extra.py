@@ -10,7 +10,6 @@ from typing import Any
 
 from unidrive_cli.errors import DatasetError
 
-
 IMAGE_ANNOTATIONS = "image_annotations"
 """2D boxes of pictures: never taken over, because the pictures leave; as large as all else together."""
 
