@@ -29,7 +29,7 @@ case when strlen(filename) <= 255 and filename[1] not in ('/', '.') and not cont
 and not contains(filename, '/.') and not contains(filename, '//') and not contains(filename, chr(92))
 and not contains(filename, chr(0)) then left(filename, length(filename) - strpos(reverse(filename), '/'))
 else '' end as folder"""
-"""SQL: the folder of a file name in which nothing is unusual (a name without one stands for itself); '' of others."""
+"""SQL: the folder of a file name in which nothing is unusual (or a name without folder itself); '' of others."""
 
 
 class _Odd(Exception):
