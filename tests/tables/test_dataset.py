@@ -156,7 +156,7 @@ def test_indexes(tmp_path: Path) -> None:
     assert [row.token for row in dataset.samples_of_scene["scene"]] == ["s0", "s1", "s2"]
     assert {token: [row.token for row in rows] for token, rows in dataset.keyframes.items()} == {
         "s0": ["cam-s0"], "s1": ["cam-s1", "lidar-s1"], "s2": ["cam-s2", "lidar-s2"]}  # fmt: skip
-    assert [row.token for row in dataset.annotations["s1"]] == ["car-s1"]
+    assert [row.token for row in dataset.annotations("s1")] == ["car-s1"]
     assert dataset.sensor_of(dataset.sample_data.rows[1]).channel == "LIDAR_TOP"
     assert dataset.camera_channels() == ["CAM_FRONT"]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,30 +12,34 @@ from hypothesis import strategies as st
 from tests.tables.small import tables, write
 from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
+from unidrive_cli.tables.table import table_of
 
-
-@dataclass(frozen=True)
-class Node:
-    token: str
-    prev: str
-    next: str
+Node = tuple[str, str, str]
+"""token, prev, next"""
 
 
 def chain(tokens: list[str]) -> list[Node]:
-    return [
-        Node(token, before, after)
-        for token, before, after in zip(tokens, ["", *tokens], [*tokens[1:], ""], strict=False)
+    return list(zip(tokens, ["", *tokens], [*tokens[1:], ""], strict=False))
+
+
+def changes_of(rows: list[Node], kept: set[str]) -> dict[str, dict[str, str]]:
+    """What `mended_links` changes in a table of these rows, by token."""
+    records = [
+        {"token": token, "prev": before, "next": after, "timestamp": 0, "scene_token": ""}
+        for token, before, after in rows
     ]
+    stays = np.array([token in kept for token, _, _ in rows], dtype=bool)
+    return {rows[index][0]: fields for index, fields in mended_links(table_of("sample", records), stays).items()}
 
 
 def links_after(rows: list[Node], kept: set[str]) -> dict[str, dict[str, str]]:
     """prev and next of the rows that stay, with the changes put in."""
-    changes = mended_links(rows, kept)
+    changes = changes_of(rows, kept)
     assert set(changes) <= kept
     return {
-        row.token: {"prev": row.prev, "next": row.next} | changes.get(row.token, {})
-        for row in rows
-        if row.token in kept
+        token: {"prev": before, "next": after} | changes.get(token, {})
+        for token, before, after in rows
+        if token in kept
     }
 
 
@@ -47,28 +51,28 @@ def test_what_is_left_of_each_list_is_a_closed_list_in_the_old_order(chains: lis
         tokens = [f"{number}-{place}" for place in range(len(stays))]
         rows += chain(tokens)
         left = [token for token, stay in zip(tokens, stays, strict=True) if stay]
-        expected |= {row.token: {"prev": row.prev, "next": row.next} for row in chain(left)}
+        expected |= {token: {"prev": before, "next": after} for token, before, after in chain(left)}
     random.shuffle(rows)
     assert links_after(rows, set(expected)) == expected
 
 
 def test_nothing_leaves_nothing_changes() -> None:
     rows = chain(["a", "b", "c"])
-    assert mended_links(rows, {"a", "b", "c"}) == {}
-    assert mended_links(rows, set()) == {}
-    assert mended_links([], set()) == {}
+    assert changes_of(rows, {"a", "b", "c"}) == {}
+    assert changes_of(rows, set()) == {}
+    assert changes_of([], set()) == {}
 
 
 def test_by_hand() -> None:
-    assert mended_links(chain(["a", "b", "c", "d"]), {"a", "d"}) == {"a": {"next": "d"}, "d": {"prev": "a"}}
-    assert mended_links(chain(["a", "b", "c", "d"]), {"b", "c"}) == {"b": {"prev": ""}, "c": {"next": ""}}
+    assert changes_of(chain(["a", "b", "c", "d"]), {"a", "d"}) == {"a": {"next": "d"}, "d": {"prev": "a"}}
+    assert changes_of(chain(["a", "b", "c", "d"]), {"b", "c"}) == {"b": {"prev": ""}, "c": {"next": ""}}
 
 
 def test_links_to_rows_that_were_never_there_end_the_list() -> None:
     """Lyft's extract points outside of itself at both ends."""
-    rows = [Node("a", "gone", "b"), Node("b", "a", "c"), Node("c", "b", "gone too")]
-    assert mended_links(rows, {"a", "b", "c"}) == {"a": {"prev": ""}, "c": {"next": ""}}
-    assert mended_links(rows, {"b"}) == {"b": {"prev": "", "next": ""}}
+    rows = [("a", "gone", "b"), ("b", "a", "c"), ("c", "b", "gone too")]
+    assert changes_of(rows, {"a", "b", "c"}) == {"a": {"prev": ""}, "c": {"next": ""}}
+    assert changes_of(rows, {"b"}) == {"b": {"prev": "", "next": ""}}
 
 
 NAMES = ["a", "b", "c", "d", "e"]
@@ -80,21 +84,21 @@ NAMES = ["a", "b", "c", "d", "e"]
 )
 def test_broken_lists_end_and_never_point_at_what_left(links: list[tuple[str, str]], kept: set[str]) -> None:
     """Circles, forks, rows that are their own neighbour."""
-    rows = [Node(token, before, after) for token, (before, after) in zip(NAMES, links, strict=True)]
+    rows = [(token, before, after) for token, (before, after) in zip(NAMES, links, strict=True)]
     for fields in links_after(rows, kept).values():
         assert {*fields.values()} <= {"", *kept}
 
 
 def test_a_circle_of_rows_that_all_leave() -> None:
-    circle = [Node("b", "c", "c"), Node("c", "b", "b")]
-    assert mended_links([Node("a", "", "b"), *circle], {"a"}) == {"a": {"next": ""}}
+    circle = [("b", "c", "c"), ("c", "b", "b")]
+    assert changes_of([("a", "", "b"), *circle], {"a"}) == {"a": {"next": ""}}
 
 
 def test_a_long_list_with_long_gaps_is_no_effort() -> None:
     """100,000 rows, every 1,000th stays: as fast as it is long."""
     tokens = [str(index) for index in range(100_000)]
     kept = tokens[::1000]
-    expected = {row.token: {"prev": row.prev, "next": row.next} for row in chain(kept)}
+    expected = {token: {"prev": before, "next": after} for token, before, after in chain(kept)}
     assert links_after(chain(tokens), set(kept)) == expected
 
 
@@ -157,4 +161,5 @@ ALWAYS = {2: {}, 3: {"nbr_annotations": 0, "first_annotation_token": ""}}  # nev
     ],
 )
 def test_instances_count_and_name_the_boxes_that_stay(dataset: Dataset, kept: set[str], expected: dict) -> None:
-    assert dict(mended_instances(dataset, kept)) == expected | ALWAYS
+    stays = np.array([row.token in kept for row in dataset.sample_annotation.rows])
+    assert dict(mended_instances(dataset, stays)) == expected | ALWAYS

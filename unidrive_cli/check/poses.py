@@ -18,14 +18,12 @@ def check_poses(dataset: Dataset) -> None:
         DatasetError: naming the first row that breaks it.
     """
     for table in (dataset.calibrated_sensor, dataset.ego_pose, dataset.sample_annotation):
-        rows = table.rows
-        rotations = np.array([row.rotation for row in rows], dtype=np.float64).reshape(-1, 4)
-        translations = np.array([row.translation for row in rows], dtype=np.float64).reshape(-1, 3)
+        rows, rotations, translations = table.rows, table.numbers("rotation"), table.numbers("translation")
         with np.errstate(over="ignore", invalid="ignore"):
             norms = np.linalg.norm(rotations, axis=1)
         bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 1e-6)))
         if len(bad):
-            row = rows[bad[0]]
+            row = rows[int(bad[0])]
             raise DatasetError(
                 f"{list(row.rotation)} has norm {norms[bad[0]]:g}; a unit quaternion w, x, y, z was expected.",
                 where=table.place(row, "rotation"),
@@ -34,11 +32,12 @@ def check_poses(dataset: Dataset) -> None:
         if len(bad):
             raise DatasetError(
                 f"must be three numbers of at most {MAX_COORDINATE_M:g} metres.",
-                where=table.place(rows[bad[0]], "translation"),
+                where=table.place(rows[int(bad[0])], "translation"),
             )
-    for box in dataset.sample_annotation.rows:
-        if not 0 <= min(box.size) <= max(box.size) <= MAX_SIZE_M:
-            raise DatasetError(
-                f"{list(box.size)}: width, length and height must be from 0 to {MAX_SIZE_M:g} metres.",
-                where=dataset.sample_annotation.place(box, "size"),
-            )
+    sizes = dataset.sample_annotation.numbers("size")
+    sane = ((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1)
+    for box in dataset.sample_annotation.rows_at(np.flatnonzero(~sane)[:1]):
+        raise DatasetError(
+            f"{list(box.size)}: width, length and height must be from 0 to {MAX_SIZE_M:g} metres.",
+            where=dataset.sample_annotation.place(box, "size"),
+        )

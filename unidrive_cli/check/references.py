@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from unidrive_cli.tables.dataset import Dataset
+from unidrive_cli.tables.table import NOWHERE
 
 
 @dataclass(frozen=True)
@@ -59,10 +62,10 @@ def check_references(dataset: Dataset) -> Iterator[Finding]:
     for table_name, field, target_name in REFERENCES + MENDABLE:
         mendable = (table_name, field, target_name) in MENDABLE
         table = getattr(dataset, table_name)
-        known = getattr(dataset, target_name).by_token
-        for row in table.rows:
+        links = table.links(field, getattr(dataset, target_name))
+        for row in table.rows_at(np.flatnonzero(links == NOWHERE if mendable else links < 0)):
             token = getattr(row, field)
-            if token in known or (mendable and not token) or _may_be_empty(table_name, field, row, token):
+            if _may_be_empty(table_name, field, row, token):
                 continue
             yield Finding(
                 "REF-2" if mendable else "REF-1",
@@ -71,10 +74,11 @@ def check_references(dataset: Dataset) -> Iterator[Finding]:
                 error=not mendable,
             )
 
-    for annotation in dataset.sample_annotation.rows:
+    annotations, attributes = dataset.sample_annotation, dataset.attribute.by_token
+    for annotation in annotations.rows_at(annotations.rows_with_dangling("attribute_tokens", dataset.attribute)):
         for token in annotation.attribute_tokens:
-            if token not in dataset.attribute.by_token:
-                place = dataset.sample_annotation.place(annotation, "attribute_tokens")
+            if token not in attributes:
+                place = annotations.place(annotation, "attribute_tokens")
                 yield Finding("REF-1", place, f"points to {token!r}, which is not in attribute.json.")
 
 

@@ -62,7 +62,11 @@ LINK = option(
 ON_ERROR = option("stop", "--on-error", help="At a broken picture: stop, or leave its sample out.")
 KERNEL = option("auto", "--kernel", help="What warps: the fused kernel (numba), or OpenCV.")
 CODEC = option("auto", "--codec", help="What decodes and encodes for the kernel numba.")
-VERIFY = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all.")
+VERIFY = option(
+    "sample",
+    "--verify",
+    help="Decode a sample of the pictures at the end (and open 20 scenes with the devkit), or all.",
+)
 
 
 @guarded
@@ -191,7 +195,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
     estimate = plan.estimated_bytes()
     scenes = len({unit.scene.token for unit in plan.units})
     sources = sum(len(unit.sources) for unit in plan.units)
-    annotations = sum(len(plan.dataset.annotations.get(unit.sample.token, [])) for unit in plan.units)
+    annotations = sum(len(plan.dataset.annotation_indices(unit.sample.token)) for unit in plan.units)
     sizes = sorted({f"{camera.lens.width_px}x{camera.lens.height_px}" for camera in plan.rig.cameras})
     copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
     document: dict[str, Any] = {

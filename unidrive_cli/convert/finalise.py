@@ -168,7 +168,7 @@ def _carry_files(
     carried = missing = 0
     example = ""
     maps = {row.filename for row in plan.dataset.map.rows}
-    for filename in carried_files(plan.dataset, tables.kept_sample_data.values(), extra_files):
+    for filename in carried_files(plan.dataset, tables.kept_sample_data, extra_files):
         if carry(plan.dataset, filename, destination, plan.options.link):
             carried += 1
         elif filename not in maps:

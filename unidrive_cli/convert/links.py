@@ -8,11 +8,13 @@ import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from unidrive_cli.convert.options import Link
 from unidrive_cli.errors import DatasetError, OutputError
+from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.destination import Destination
-from unidrive_cli.tables.schema import SampleData
 
 CARRIED_FOLDERS = ("can_bus", "map", "maps")
 """Top-level folders that go along whole; other files go along where a table names them."""
@@ -39,14 +41,14 @@ def check_carried_folders(dataset: Dataset) -> None:
                     dataset.files.resolve(relative, str(entry))
 
 
-def carried_files(dataset: Dataset, rows: Iterable[SampleData], extra_files: Iterable[str]) -> Iterator[str]:
+def carried_files(dataset: Dataset, kept: Bool, extra_files: Iterable[str]) -> Iterator[str]:
     """File names, relative to the dataset, of everything that goes along unchanged.
 
     Args:
-        rows: sample_data rows (no cameras) that stay.
+        kept: (n,) the sample_data rows (no cameras) that stay.
         extra_files: files that rows of extra tables name.
     """
-    for row in rows:
+    for row in dataset.sample_data.rows_at(np.flatnonzero(kept)):
         yield row.filename
     yield from extra_files
     named = {row.filename for row in dataset.map.rows if row.filename}

@@ -29,7 +29,7 @@ class Options(WarpChoices):
         unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
         link: how files that do not change come into the output.
         on_error: `stop` at the first broken sample, or `skip` it.
-        verify: `sample` of the pictures decoded at the end, or `full`.
+        verify: `sample` of the pictures decoded at the end, and scenes opened with nuscenes-devkit, or `full`.
         jobs: worker processes; 0 works in this process.
         kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
         backend: `loky`, processes on this machine, or `dask`, the workers of a cluster.

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.visibility import VisibilityLevels
+from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
-from unidrive_cli.tables.schema import SampleAnnotation, SampleData
-from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
-from unidrive_cli.tables.table import Table, changed
+from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
+from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_scenes
+from unidrive_cli.tables.table import EMPTY, ListedTable, RawRow, Table, changed
 from unidrive_cli.tables.tokens import derived_token
-
-RawRow = bytes | msgspec.Raw
-IMAGE_ANNOTATIONS = "image_annotations"
 
 
 @dataclass
@@ -60,53 +59,63 @@ class OutputTables:
         self.counts = Counts(samples=len(self._units))
 
     @cached_property
-    def kept_samples(self) -> set[str]:
-        """Tokens of the samples that stay."""
-        return {unit.sample.token for unit in self._units}
+    def kept_samples(self) -> Bool:
+        """(n,) the samples that stay."""
+        return self._mask(self._dataset.sample, [unit.sample.token for unit in self._units])
 
     @cached_property
-    def kept_sample_data(self) -> dict[str, SampleData]:
-        """The rows of sensors other than cameras that stay, by token; sweeps without a sample stay too."""
-        dataset, samples = self._dataset, {*self.kept_samples, ""}
-        return {
-            row.token: row
-            for row in dataset.sample_data.rows
-            if dataset.sensor_of(row).modality != "camera" and row.sample_token in samples
-        }
+    def kept_sample_data(self) -> Bool:
+        """(n,) the rows of sensors other than cameras that stay; sweeps without a sample stay too."""
+        samples = self._dataset.sample_data.links("sample_token", self._dataset.sample)
+        stays: Bool = ~self._dataset.of_cameras & ((samples == EMPTY) | are_kept(self.kept_samples, samples))
+        return stays
 
     @cached_property
-    def annotation_fates(self) -> dict[str, str | None]:
-        """Visibility token of every annotation that stays, by token."""
+    def kept_annotations(self) -> Bool:
+        """(n,) the annotations that stay."""
         drop = self._plan.options.unseen_boxes == "drop"
-        return {
-            row.token: self._visibility(row, shown)
-            for row, shown in self._annotations_shown()
-            if shown > 0 or not drop
-        }
+        stays: Bool = ~np.isnan(self._shown) & ((self._shown > 0) | (not drop))
+        return stays
 
-    def _annotations_shown(self) -> Iterator[tuple[SampleAnnotation, float]]:
-        """Every annotation of the samples that stay, with the share of it that is shown."""
+    @cached_property
+    def _shown(self) -> Float:
+        """(n,) the share of every annotation that is shown; NaN where its sample leaves."""
+        shown = np.full(len(self._dataset.sample_annotation.rows), np.nan)
         for unit in self._units:
-            rows = self._dataset.annotations.get(unit.sample.token, [])
-            yield from zip(rows, self._receipts[unit.sample.token].shown, strict=True)
+            shown[self._dataset.annotation_indices(unit.sample.token)] = self._receipts[unit.sample.token].shown
+        return shown
 
-    def _visibility(self, row: SampleAnnotation, shown: float) -> str | None:
+    @cached_property
+    def _lowered(self) -> dict[int, str | None]:
+        """New visibility tokens, by the index of the annotation, where they change."""
         if self._plan.options.visibility == "keep":
-            return row.visibility_token
-        return self._levels.lowered(row.visibility_token, shown)
+            return {}
+        dataset = self._dataset
+        tokens = [row.token for row in dataset.visibility.rows]
+        old = dataset.sample_annotation.links("visibility_token", dataset.visibility)
+        lowered: dict[int, str | None] = {}
+        candidates = np.flatnonzero(self.kept_annotations & (self._shown < 1.0))
+        shares = self._shown[candidates].tolist()
+        for index, code, shown in zip(candidates.tolist(), old[candidates].tolist(), shares, strict=True):
+            token = tokens[code] if code >= 0 else ""
+            if (new := self._levels.lowered(token, shown)) != token:
+                lowered[index] = new
+        return lowered
 
     def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
         """Calls `write_table(name, rows)` for every table of the output, and counts."""
-        fates, changes = self.annotation_fates, self._changed_annotations
+        kept, changes = self.kept_annotations, self._changed_annotations
         rows: dict[str, Iterable[RawRow]] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
             "ego_pose": self._ego_poses(),
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
-            "scene": self._indexed(self._dataset.scene, mended_scenes(self._dataset, self.kept_samples)),
-            "sample_annotation": self._kept_rows(self._dataset.sample_annotation, fates, changes),
-            "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, fates)),
+            "scene": self._indexed(
+                self._dataset.scene, mended_scenes(self._dataset, {unit.sample.token for unit in self._units})
+            ),
+            "sample_annotation": self._kept_rows(self._dataset.sample_annotation, kept, changes),
+            "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, kept)),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
@@ -115,11 +124,11 @@ class OutputTables:
         for name in sorted(rows):
             self.counts.tables[name] = write_table(name, rows[name])
         receipts = [self._receipts[unit.sample.token] for unit in self._units]
-        self.counts.annotations = len(fates)
-        self.counts.visibility_lowered = sum("visibility_token" in fields for fields in changes.values())
+        self.counts.annotations = int(np.count_nonzero(self.kept_annotations))
+        self.counts.visibility_lowered = len(self._lowered)
         self.counts.boxes_unseen = sum(receipt.shown.count(0.0) for receipt in receipts)
         self.counts.boxes_unwitnessed = sum(receipt.unwitnessed for receipt in receipts)
-        self.counts.boxes_dropped = sum(len(receipt.shown) for receipt in receipts) - len(fates)
+        self.counts.boxes_dropped = sum(len(receipt.shown) for receipt in receipts) - self.counts.annotations
         self.counts.boxes_2d = self.counts.tables[IMAGE_ANNOTATIONS]
 
     def extra_tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -128,10 +137,19 @@ class OutputTables:
         Rows that point to a sample_data or sample row which is gone go with it. A file that is no table
         has no rows.
         """
-        stay = {"sample_data_token": self.kept_sample_data, "sample_token": self.kept_samples}
+        targets: dict[str, tuple[Table[Any], Bool]] = {
+            "sample_data_token": (self._dataset.sample_data, self.kept_sample_data),
+            "sample_token": (self._dataset.sample, self.kept_samples),
+        }
         for name, table in self._dataset.extra_tables.items():
             if name != IMAGE_ANNOTATIONS:
-                yield name, [row for row in table.rows or [] if all(_points_into(row, *key) for key in stay.items())]
+                rows = table.rows or []
+                stays = np.ones(len(rows), dtype=bool)
+                for field, (target, kept) in targets.items():
+                    tokens = [_text(row.get(field)) for row in rows]
+                    places = target.find(tokens)
+                    stays &= (places == EMPTY) | are_kept(kept, places)
+                yield name, [row for row, stay in zip(rows, stays.tolist(), strict=True) if stay]
 
     def _sensors(self) -> Iterator[RawRow]:
         table = self._dataset.sensor
@@ -155,15 +173,15 @@ class OutputTables:
 
     def _ego_poses(self) -> Iterator[RawRow]:
         """Poses that a row which stays uses, or that none ever used; then one per virtual picture."""
-        dataset = self._dataset
-        used = {row.ego_pose_token for row in self.kept_sample_data.values()}
-        left = {row.ego_pose_token for row in dataset.sample_data.rows} - used
-        table = dataset.ego_pose
-        for row, raw in zip(table.rows, table.raw, strict=True):
-            if row.token not in left:
-                yield raw
+        dataset, table = self._dataset, self._dataset.ego_pose
+        poses = dataset.sample_data.links("ego_pose_token", table)
+        stays = np.ones(len(table.rows), dtype=bool)
+        stays[poses] = False
+        stays[poses[self.kept_sample_data]] = True
+        yield from self._kept_rows(table, stays, {})
         for unit in self._units:
-            pose = dataset.ego_pose.by_token[unit.reference.ego_pose_token]
+            place = dataset.sample_data.place(unit.reference, "ego_pose_token")
+            pose = table.get(unit.reference.ego_pose_token, place)
             for channel in self._plan.rig.channels:
                 yield _row(
                     token=self._token("sample_data", unit.sample.token, channel),
@@ -198,16 +216,21 @@ class OutputTables:
 
     def _boxes_2d(self) -> Iterator[RawRow]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
-        dataset, fates, changes = self._dataset, self.annotation_fates, self._changed_annotations
+        dataset, kept, lowered = self._dataset, self.kept_annotations, self._lowered
+        links = mended_links(dataset.sample_annotation, kept)
         categories = {row.token: row.name for row in dataset.category.rows}
         instances = {row.token: categories.get(row.category_token, "") for row in dataset.instance.rows}
         for unit in self._units:
-            annotations = dataset.annotations.get(unit.sample.token, [])
+            indices = dataset.annotation_indices(unit.sample.token).tolist()
+            annotations = dataset.annotations(unit.sample.token)
+            pictures = [
+                self._token("sample_data", unit.sample.token, channel) for channel in self._plan.rig.channels
+            ]
             for box in self._receipts[unit.sample.token].boxes:
-                row = annotations[box.annotation]
-                if row.token not in fates:
+                row, index = annotations[box.annotation], indices[box.annotation]
+                if not kept[index]:
                     continue
-                mended = changes.get(row.token, {})
+                mended = links.get(index, {})
                 yield _row(
                     attribute_tokens=row.attribute_tokens,
                     bbox_corners=[box.left, box.top, box.right, box.bottom],
@@ -219,49 +242,49 @@ class OutputTables:
                     num_radar_pts=row.num_radar_pts,
                     prev=mended.get("prev", row.prev),
                     sample_annotation_token=row.token,
-                    sample_data_token=self._token(
-                        "sample_data", unit.sample.token, self._plan.rig.channels[box.camera]
-                    ),
-                    visibility_token=fates[row.token],
+                    sample_data_token=pictures[box.camera],
+                    visibility_token=lowered.get(index, row.visibility_token),
                 )
 
     @cached_property
-    def _changed_annotations(self) -> dict[str, dict[str, Any]]:
+    def _changed_annotations(self) -> dict[int, dict[str, Any]]:
         """Mended links, new visibility; and centres in whole numbers as floats, which nuscenes-devkit needs."""
-        fates = self.annotation_fates
-        changes: dict[str, dict[str, Any]] = {}
-        changes.update(mended_links(self._dataset.sample_annotation.rows, fates))
-        for row in self._dataset.sample_annotation.rows:
-            if row.token not in fates:
-                continue
-            if fates[row.token] != row.visibility_token:
-                changes.setdefault(row.token, {})["visibility_token"] = fates[row.token]
-            if all(number == int(number) for number in row.translation):
-                changes.setdefault(row.token, {})["translation"] = list(row.translation)
+        table, kept = self._dataset.sample_annotation, self.kept_annotations
+        changes = mended_links(table, kept)
+        for index, token in self._lowered.items():
+            changes.setdefault(index, {})["visibility_token"] = token
+        centres = table.numbers("translation")
+        for index in np.flatnonzero(kept & (centres == np.floor(centres)).all(axis=1)).tolist():
+            changes.setdefault(index, {})["translation"] = centres[index].tolist()
         return changes
 
-    def _linked_rows(self, table: Table[Any], kept: Collection[str]) -> Iterator[RawRow]:
-        return self._kept_rows(table, kept, mended_links(table.rows, kept))
+    def _linked_rows(self, table: Table[Any], kept: Bool) -> Iterator[RawRow]:
+        return self._kept_rows(table, kept, mended_links(table, kept))
 
     def _kept_rows(
-        self, table: Table[Any], kept: Collection[str], changes: Mapping[str, Mapping[str, Any]]
+        self, table: Table[Any], kept: Bool, changes: Mapping[int, Mapping[str, Any]]
     ) -> Iterator[RawRow]:
-        for row, raw in zip(table.rows, table.raw, strict=True):
-            if row.token in kept:
-                fields = changes.get(row.token)
-                yield changed(raw, fields) if fields else raw
+        indices = np.flatnonzero(kept)
+        for index, raw in zip(indices.tolist(), table.raw_at(indices), strict=True):
+            fields = changes.get(index)
+            yield changed(raw, fields) if fields else raw
 
-    def _indexed(self, table: Table[Any], changes: Iterator[tuple[int, dict[str, Any]]]) -> Iterator[RawRow]:
+    def _indexed(self, table: ListedTable[Any], changes: Iterator[tuple[int, dict[str, Any]]]) -> Iterator[RawRow]:
         for index, fields in changes:
             yield changed(table.raw[index], fields) if fields else table.raw[index]
+
+    @staticmethod
+    def _mask(table: ListedTable[Any], tokens: list[str]) -> Bool:
+        mask = np.zeros(len(table.rows), dtype=bool)
+        mask[table.find(tokens)] = True
+        return mask
 
     def _token(self, table: str, source_token: str, channel: str) -> str:
         return derived_token(table, source_token, self._plan.rig.digest, channel)
 
 
-def _points_into(row: dict[str, Any], field: str, known: Container[str]) -> bool:
-    token = row.get(field)
-    return not isinstance(token, str) or not token or token in known
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
 
 
 def _row(**fields: Any) -> bytes:

@@ -11,13 +11,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you_mean
-from unidrive_cli.geometry.arrays import Float
+from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
 from unidrive_cli.tables.converted import MARKER
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.paths import Inside
+from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.schema import (
     NEEDED,
     NUSCENES_VISIBILITY,
@@ -36,12 +39,14 @@ from unidrive_cli.tables.schema import (
     Sensor,
     Visibility,
 )
-from unidrive_cli.tables.table import Table, read_table, table_of
+from unidrive_cli.tables.table import Indices, ListedTable, Table, read_table, table_of
 
 LIDAR_REFERENCE = "LIDAR_TOP"
 OPTIONAL = ("sample_annotation", "instance", "category", "attribute", "visibility", "log", "map")
 """Tables that may be missing, in an order in which their minimal rows can be made."""
 NO_CATEGORY = "unidrive-unknown-category"
+LARGE_BYTES = 200 << 20
+"""Tables that can grow are scanned where they are larger than this together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +62,19 @@ class Dataset:
 
     root: Path
     version: str
-    sensor: Table[Sensor]
-    calibrated_sensor: Table[CalibratedSensor]
+    sensor: ListedTable[Sensor]
+    calibrated_sensor: ListedTable[CalibratedSensor]
     ego_pose: Table[EgoPose]
-    sample: Table[Sample]
+    sample: ListedTable[Sample]
     sample_data: Table[SampleData]
-    scene: Table[Scene]
+    scene: ListedTable[Scene]
     sample_annotation: Table[SampleAnnotation]
-    instance: Table[Instance]
-    category: Table[Category]
-    attribute: Table[Attribute]
-    visibility: Table[Visibility]
-    log: Table[Log]
-    map: Table[Map]
+    instance: ListedTable[Instance]
+    category: ListedTable[Category]
+    attribute: ListedTable[Attribute]
+    visibility: ListedTable[Visibility]
+    log: ListedTable[Log]
+    map: ListedTable[Map]
     extra_tables: dict[str, ExtraTable]
     notes: list[str] = field(default_factory=list)
 
@@ -124,18 +129,41 @@ class Dataset:
     def keyframes(self) -> dict[str, list[SampleData]]:
         """Key frame rows of all sensors by sample token, in table order."""
         by_sample: dict[str, list[SampleData]] = defaultdict(list)
-        for row in self.sample_data.rows:
-            if row.is_key_frame:
-                by_sample[row.sample_token].append(row)
+        for row in self.sample_data.rows_at(np.flatnonzero(self.sample_data.flags("is_key_frame"))):
+            by_sample[row.sample_token].append(row)
+        self.ego_pose.expect([row.ego_pose_token for rows in by_sample.values() for row in rows])
         return by_sample
 
     @cached_property
-    def annotations(self) -> dict[str, list[SampleAnnotation]]:
-        """Annotation rows by sample token, in table order."""
-        by_sample: dict[str, list[SampleAnnotation]] = defaultdict(list)
-        for row in self.sample_annotation.rows:
-            by_sample[row.sample_token].append(row)
-        return by_sample
+    def of_cameras(self) -> Bool:
+        """(n,) bool: the sample_data rows that cameras have recorded.
+
+        Raises:
+            DatasetError: a calibrated_sensor_token points nowhere.
+        """
+        calibrations = self.calibrated_sensor.rows
+        cameras = [self.sensor_of_calibration[row.token].modality == "camera" for row in calibrations]
+        of_row = self.sample_data.links("calibrated_sensor_token", self.calibrated_sensor)
+        for row in self.sample_data.rows_at(np.flatnonzero(of_row < 0)[:1]):
+            self.sensor_of(row)
+        return np.array(cameras, dtype=bool)[of_row]
+
+    @cached_property
+    def _annotations_by_sample(self) -> tuple[Indices, Indices]:
+        """Annotation indices in the order of their samples, and where those of each sample begin."""
+        samples = self.sample_annotation.links("sample_token", self.sample)
+        order = np.argsort(samples, kind="stable")
+        return order, np.searchsorted(samples[order], np.arange(len(self.sample.rows) + 1))
+
+    def annotation_indices(self, sample_token: str) -> Indices:
+        """Where the annotations of a sample stand, in table order."""
+        order, begins = self._annotations_by_sample
+        (sample,) = self.sample.find([sample_token])
+        return order[begins[sample] : begins[sample + 1]]
+
+    def annotations(self, sample_token: str) -> list[SampleAnnotation]:
+        """Annotation rows of a sample, in table order."""
+        return list(self.sample_annotation.rows_at(self.annotation_indices(sample_token)))
 
     @cached_property
     def samples_of_scene(self) -> dict[str, list[Sample]]:
@@ -233,13 +261,16 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
 
 def _open(folder: Path) -> Dataset:
     notes: list[str] = []
-    tables: dict[str, Table[Any]] = {}
+    paths = {name: folder / f"{name}.json" for name in TABLES}
+    growing = [name for name in SCANNED if paths[name].is_file()]
+    tables: dict[str, Any] = {}
+    if sum(paths[name].stat().st_size for name in growing) > LARGE_BYTES:
+        tables.update(scan_tables(folder, growing))
     for name in NEEDED:
-        tables[name] = read_table(folder / f"{name}.json", name)
+        tables[name] = tables.get(name) or read_table(paths[name], name)
     for name in OPTIONAL:
-        path = folder / f"{name}.json"
-        if path.exists():
-            tables[name] = read_table(path, name)
+        if paths[name].exists():
+            tables[name] = tables.get(name) or read_table(paths[name], name)
         else:
             records = _minimal_records(name, tables)
             tables[name] = table_of(name, records)
@@ -252,12 +283,12 @@ def _open(folder: Path) -> Dataset:
     if unmapped:
         tables["map"] = tables["map"].extended([_no_map(sorted(unmapped))])
         notes.append(f"{len(unmapped)} logs have no map; an empty one is assumed, as nuscenes-devkit wants one.")
-    paths = extra_table_paths(folder, frozenset(TABLES))
+    extra_paths = extra_table_paths(folder, frozenset(TABLES))
     return Dataset(
         folder.parent,
         folder.name,
         **tables,
-        extra_tables={path.stem: read_extra_table(path) for path in paths},
+        extra_tables={path.stem: read_extra_table(path) for path in extra_paths},
         notes=notes,
     )
 
@@ -307,7 +338,7 @@ def _version_folder(root: Path, version: str | None) -> Path:
     )
 
 
-def _minimal_records(name: str, tables: dict[str, Table[Any]]) -> list[dict[str, Any]]:
+def _minimal_records(name: str, tables: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows of a missing table: one for every token that other tables point to."""
 
     def wanted(table: str, field: str) -> list[str]:

@@ -10,6 +10,9 @@ from typing import Any
 
 from unidrive_cli.errors import DatasetError
 
+IMAGE_ANNOTATIONS = "image_annotations"
+"""2D boxes of pictures: never taken over, because the pictures leave; as large as all else together."""
+
 
 @dataclass(frozen=True, eq=False)
 class ExtraTable:
@@ -17,7 +20,7 @@ class ExtraTable:
 
     Attributes:
         path: the file.
-        rows: its rows; None where it is no list of rows, and is carried as it is.
+        rows: its rows; None where it is no list of rows, and is carried as it is, and for IMAGE_ANNOTATIONS.
         digest: SHA-256 (hex) of the file.
     """
 
@@ -38,6 +41,12 @@ def read_extra_table(path: Path) -> ExtraTable:
         DatasetError: it is not JSON.
         OSError: it cannot be read.
     """
+    if path.stem == IMAGE_ANNOTATIONS:
+        digest = hashlib.sha256()
+        with path.open("rb") as stream:
+            for piece in iter(lambda: stream.read(1 << 20), b""):
+                digest.update(piece)
+        return ExtraTable(path, None, digest.hexdigest())
     data = path.read_bytes()
     try:
         document = json.loads(data)

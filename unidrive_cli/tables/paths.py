@@ -48,12 +48,30 @@ class Inside:
         self._top_folders: dict[str, str] = {}
         self._safe_folders: set[str] = set()
 
+    def has_links(self, folder: str) -> bool:
+        """Whether anything in a folder (checked by name, relative to the root) is a link; False where it is missing.
+
+        Raises:
+            DatasetError: the folder cannot be read.
+        """
+        try:
+            with os.scandir(f"{self._root}/{folder}") as entries:
+                return any(entry.is_symlink() for entry in entries)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError as error:
+            raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename)) from error
+
     def resolve(self, filename: str, where: str) -> Path:
         """The file's path below the root.
 
         Raises:
             DatasetError: the name is not safe, or a link leads out of the dataset.
         """
+        return Path(self.locate(filename, where))
+
+    def locate(self, filename: str, where: str) -> str:
+        """As `resolve`, for very many files."""
         check_filename(filename, where)
         full = f"{self._root}/{filename}"
         folder = os.path.dirname(full)
@@ -64,7 +82,7 @@ class Inside:
             self._safe_folders.add(folder)
         if os.path.islink(full):
             self._refuse_outside(full, filename, where)
-        return Path(full)
+        return full
 
     def _refuse_outside(self, path: str, filename: str, where: str) -> None:
         real = os.path.realpath(path)

@@ -2,56 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from typing import Any, Protocol
+from collections.abc import Collection, Iterator
+from typing import Any
 
+import numpy as np
+
+from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.schema import SampleAnnotation
+from unidrive_cli.tables.table import EMPTY, Indices, Table
 
 
-class Linked(Protocol):
-    """A row of a linked list."""
-
-    @property
-    def token(self) -> str: ...
-    @property
-    def prev(self) -> str: ...
-    @property
-    def next(self) -> str: ...
-
-
-def mended_links(rows: Sequence[Linked], kept: Collection[str]) -> dict[str, dict[str, str]]:
-    """Changes of `prev` and `next` that close the lists over the kept rows.
+def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
+    """Changes of `prev` and `next` that close the lists over the rows that stay.
 
     A link to a row that leaves is followed until a row that stays; a link that points nowhere ends
     the list.
 
     Args:
-        rows: all rows of one table.
-        kept: tokens of the rows that stay.
+        kept: (n,) whether a row stays.
 
     Returns:
-        Changed fields by token, for the rows that need any.
+        Changed fields by row index, for the rows that need any.
     """
-    by_token = {row.token: row for row in rows}
-
-    def follow(token: str, direction: str) -> str:
-        steps = 0
-        while token and token not in kept:
-            row = by_token.get(token)
-            steps += 1
-            token = getattr(row, direction) if row is not None and steps <= len(by_token) else ""
-        return token
-
-    changes: dict[str, dict[str, str]] = {}
-    for row in rows:
-        if row.token not in kept:
+    changes: dict[int, dict[str, Any]] = {}
+    for direction in ("prev", "next"):
+        links = table.links(direction, table)
+        open_ends = np.flatnonzero(kept & (links != EMPTY) & ~are_kept(kept, links))
+        if not len(open_ends):
             continue
-        for direction in ("prev", "next"):
-            old = getattr(row, direction)
-            if old and old not in kept:
-                changes.setdefault(row.token, {})[direction] = follow(old, direction)
+        ends = _followed(links, kept)[links[open_ends]]
+        there = ends >= 0
+        tokens = iter([row.token for row in table.rows_at(ends[there])])
+        for row, is_there in zip(open_ends.tolist(), there.tolist(), strict=True):
+            changes.setdefault(row, {})[direction] = next(tokens) if is_there else ""
     return changes
+
+
+def are_kept(kept: Bool, links: Indices) -> Bool:
+    """Whether links lead to rows that stay; those that are empty or lead nowhere do not."""
+    inside: Bool = (links >= 0) & kept[np.maximum(links, 0)]
+    return inside
+
+
+def _followed(links: Indices, kept: Bool) -> Indices:
+    """For every row, and nowhere (the last two): the row that stays at which its list arrives, or EMPTY.
+
+    Every round doubles the steps, so that all arrive that ever do; circles of rows that leave do not.
+    """
+    count = len(links)
+    follow = np.append(np.where(kept, np.arange(count), np.maximum(links, EMPTY)), [EMPTY, EMPTY])
+    for _ in range(count.bit_length()):
+        further = follow[follow]
+        if np.array_equal(further, follow):
+            break
+        follow = further
+    arrived: Indices = np.where(np.append(kept, [False, False])[follow], follow, EMPTY)
+    return arrived
 
 
 def mended_scenes(dataset: Dataset, kept_samples: Collection[str]) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -72,50 +78,38 @@ def mended_scenes(dataset: Dataset, kept_samples: Collection[str]) -> Iterator[t
         )
 
 
-def mended_instances(dataset: Dataset, kept_annotations: Collection[str]) -> Iterator[tuple[int, dict[str, Any]]]:
+def mended_instances(dataset: Dataset, kept_annotations: Bool) -> Iterator[tuple[int, dict[str, Any]]]:
     """(row index, changed fields) of each instance that stays.
 
     An instance whose annotations all leave goes with them; one that never had any stays.
+
+    Args:
+        kept_annotations: (n,) whether an annotation stays.
     """
-    samples = dataset.sample.by_token
-    first: dict[str, SampleAnnotation] = {}
-    last: dict[str, SampleAnnotation] = {}
-    count: dict[str, int] = {}
-    annotated = set()
-
-    def time(row: SampleAnnotation) -> float:
-        return samples[row.sample_token].timestamp
-
-    for row in dataset.sample_annotation.rows:
-        token = row.instance_token
-        annotated.add(token)
-        if row.token not in kept_annotations:
+    table, instances = dataset.sample_annotation, dataset.instance.rows
+    owners = table.links("instance_token", dataset.instance)
+    annotated = np.bincount(owners, minlength=len(instances)) > 0
+    times = np.array([row.timestamp for row in dataset.sample.rows])[table.links("sample_token", dataset.sample)]
+    staying = np.flatnonzero(kept_annotations)
+    staying = staying[np.lexsort((staying, times[staying], owners[staying]))]
+    begins = np.searchsorted(owners[staying], np.arange(len(instances) + 1))
+    counts = np.diff(begins)
+    ends = {"first_annotation_token": begins[:-1], "last_annotation_token": begins[1:] - 1}
+    tokens: dict[str, dict[int, str]] = {}
+    for field, places in ends.items():
+        rows = np.full(len(instances), EMPTY)
+        rows[counts > 0] = staying[places[counts > 0]]
+        moved = np.flatnonzero((rows != dataset.instance.links(field, table)) & (counts > 0))
+        named = [row.token for row in table.rows_at(rows[moved])]
+        tokens[field] = dict(zip(moved.tolist(), named, strict=True))
+    for index, instance in enumerate(instances):
+        if annotated[index] and not counts[index]:
             continue
-        count[token] = count.get(token, 0) + 1
-        if token not in first or time(row) < time(first[token]):
-            first[token] = row
-        if token not in last or time(row) >= time(last[token]):
-            last[token] = row
-    for index, instance in enumerate(dataset.instance.rows):
-        token = instance.token
-        if token in annotated and token not in first:
-            continue
-        yield (
-            index,
-            _differences(
-                {
-                    "nbr_annotations": (instance.nbr_annotations, count.get(token, 0)),
-                    "first_annotation_token": (
-                        instance.first_annotation_token,
-                        first[token].token if token in first else "",
-                    ),
-                    "last_annotation_token": (
-                        instance.last_annotation_token,
-                        last[token].token if token in last else "",
-                    ),
-                }
-            ),
-        )
+        fields: dict[str, tuple[Any, Any]] = {"nbr_annotations": (instance.nbr_annotations, int(counts[index]))}
+        for field in ends:
+            old = getattr(instance, field)
+            fields[field] = (old, tokens[field].get(index, old) if counts[index] else "")
+        yield index, _differences(fields)
 
 
 def _differences(fields: dict[str, tuple[Any, Any]]) -> dict[str, Any]:

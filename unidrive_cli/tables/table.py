@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import math
 import os
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
 from unidrive_cli.errors import DatasetError
+from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.schema import TABLES, Row
 
 R = TypeVar("R", bound=Row)
+RawRow = bytes | msgspec.Raw
+Indices = npt.NDArray[np.int64]
+EMPTY, NOWHERE = -1, -2
+"""In place of a row's index: the field is empty; the token is not in the table."""
+_ROWS_A_WRITE = 4096
 _AGAIN = "Unpack or copy the table again."
 
 
-@dataclass(frozen=True, eq=False)
-class Table(Generic[R]):
-    """Typed rows beside the JSON text that each was read from.
+class Table(ABC, Generic[R]):
+    """Typed rows, and the JSON text that each was read from.
 
     Attributes:
         name: table name without `.json`.
@@ -34,13 +43,92 @@ class Table(Generic[R]):
         rows: typed rows.
         raw: JSON text of each row, in the same order; what is written for rows that stay.
         digest: SHA-256 (hex) of the file.
+        size_bytes: size of the file.
     """
 
     name: str
     file: str
-    rows: list[R]
-    raw: list[bytes | msgspec.Raw]
+    rows: Sequence[R]
+    raw: Sequence[RawRow]
     digest: str
+    size_bytes: int
+
+    @abstractmethod
+    def find(self, tokens: Sequence[str]) -> Indices:
+        """(n,) int64: where the rows with these tokens stand; EMPTY for an empty token, NOWHERE for an unknown one.
+
+        Raises:
+            DatasetError: two rows of the table have one token.
+        """
+
+    @abstractmethod
+    def get(self, token: str, wanted_by: str) -> R:
+        """The row of that token.
+
+        Raises:
+            DatasetError: no such row; `wanted_by` names the file, token and field that point to it.
+        """
+
+    def expect(self, tokens: Sequence[str]) -> None:
+        """Says which tokens `get` will be asked for, many of them, soon."""
+        return
+
+    @abstractmethod
+    def links(self, field: str, target: Table[Any]) -> Indices:
+        """`target.find` for a field of all rows; a missing optional token counts as empty."""
+
+    @abstractmethod
+    def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
+        """The rows whose list of tokens holds one that `target` does not have."""
+
+    @abstractmethod
+    def numbers(self, field: str) -> Float:
+        """(n, k) float64: a field of k numbers, of all rows."""
+
+    @abstractmethod
+    def flags(self, field: str) -> Bool:
+        """(n,) bool: a field that is true or false, of all rows."""
+
+    @abstractmethod
+    def names_to_check(self, rows: Indices, has_links: Callable[[str], bool]) -> Indices:
+        """Of some rows with a `filename` those at which one must look to have checked them all.
+
+        Args:
+            rows: ascending.
+            has_links: whether there are links in a folder (relative, POSIX).
+        """
+
+    @abstractmethod
+    def rows_at(self, indices: Indices) -> Iterator[R]:
+        """The typed rows at these indices."""
+
+    @abstractmethod
+    def raw_at(self, indices: Indices) -> Iterator[RawRow]:
+        """The JSON text of the rows at these indices."""
+
+    def place(self, row: Row, field: str) -> str:
+        """How an error sentence names a field of a row."""
+        return f"{self.file}, token {row.token}, field {field}"
+
+    def nowhere(self, token: str, wanted_by: str) -> DatasetError:
+        """The error for a token that no row has."""
+        return DatasetError(
+            f"points to {token!r}, which is not in {self.name}.json.",
+            where=wanted_by,
+            hint="The dataset is incomplete or was written by a broken converter.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ListedTable(Table[R]):
+    """A table whose rows are all in memory."""
+
+    name: str
+    file: str
+    rows: list[R]
+    raw: list[RawRow]
+    digest: str
+    size_bytes: int
 
     @cached_property
     def by_token(self) -> dict[str, R]:
@@ -49,7 +137,11 @@ class Table(Generic[R]):
         Raises:
             DatasetError: two rows have one token.
         """
-        index = {row.token: row for row in self.rows}
+        return {token: self.rows[index] for token, index in self._index.items()}
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        index = {row.token: position for position, row in enumerate(self.rows)}
         if len(index) != len(self.rows):
             counts = Counter(row.token for row in self.rows)
             twice = next(token for token, count in counts.items() if count > 1)
@@ -58,33 +150,50 @@ class Table(Generic[R]):
             )
         return index
 
-    def get(self, token: str, wanted_by: str) -> R:
-        """The row of that token.
+    def find(self, tokens: Sequence[str]) -> Indices:
+        index = self._index
+        found = (index.get(token, NOWHERE) if token else EMPTY for token in tokens)
+        return np.fromiter(found, dtype=np.int64, count=len(tokens))
 
-        Raises:
-            DatasetError: no such row; `wanted_by` names the file, token and field that point to it.
-        """
+    def get(self, token: str, wanted_by: str) -> R:
         row = self.by_token.get(token)
         if row is None:
-            raise DatasetError(
-                f"points to {token!r}, which is not in {self.name}.json.",
-                where=wanted_by,
-                hint="The dataset is incomplete or was written by a broken converter.",
-            )
+            raise self.nowhere(token, wanted_by)
         return row
 
-    def extended(self, records: Iterable[dict[str, Any]]) -> Table[R]:
+    def links(self, field: str, target: Table[Any]) -> Indices:
+        return target.find([getattr(row, field) or "" for row in self.rows])
+
+    def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
+        lists = [getattr(row, field) for row in self.rows]
+        owners = np.repeat(np.arange(len(lists)), [len(tokens) for tokens in lists])
+        dangling: Indices = np.unique(owners[target.find([token for tokens in lists for token in tokens]) < 0])
+        return dangling
+
+    def numbers(self, field: str) -> Float:
+        rows = [getattr(row, field) for row in self.rows]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 0)
+
+    def flags(self, field: str) -> Bool:
+        return np.array([getattr(row, field) for row in self.rows], dtype=bool)
+
+    def names_to_check(self, rows: Indices, has_links: Callable[[str], bool]) -> Indices:
+        return rows
+
+    def rows_at(self, indices: Indices) -> Iterator[R]:
+        return (self.rows[index] for index in indices)
+
+    def raw_at(self, indices: Indices) -> Iterator[RawRow]:
+        return (self.raw[index] for index in indices)
+
+    def extended(self, records: Iterable[dict[str, Any]]) -> ListedTable[R]:
         """The table with further full records at its end; the digest stays that of the file."""
-        added: Table[R] = table_of(self.name, records)
+        added: ListedTable[R] = table_of(self.name, records)
         return replace(self, rows=[*self.rows, *added.rows], raw=[*self.raw, *added.raw])
 
-    def place(self, row: Row, field: str) -> str:
-        """How an error sentence names a field of a row."""
-        return f"{self.file}, token {row.token}, field {field}"
 
-
-def read_table(path: Path, name: str) -> Table[Any]:
-    """Reads one table.
+def read_table(path: Path, name: str) -> ListedTable[Any]:
+    """Reads one table into memory.
 
     Raises:
         DatasetError: missing, unreadable, not JSON, not a list, or a row with a missing or wrong field.
@@ -117,28 +226,30 @@ def read_table(path: Path, name: str) -> Table[Any]:
         for text in raw:
             rows.append(decode(text))
     except (msgspec.DecodeError, RecursionError) as error:
-        raise _bad_row(raw[len(rows)], len(rows), file, str(error)) from error
-    return Table(name, file, rows, list(raw), hashlib.sha256(data).hexdigest())
+        raise bad_row(raw[len(rows)], len(rows), file, str(error)) from error
+    return ListedTable(name, file, rows, list(raw), hashlib.sha256(data).hexdigest(), len(data))
 
 
-def table_of(name: str, records: Iterable[dict[str, Any]]) -> Table[Any]:
+def table_of(name: str, records: Iterable[dict[str, Any]]) -> ListedTable[Any]:
     """A table that no file holds, from full records."""
     raw = [msgspec.json.encode(record) for record in records]
     decode = msgspec.json.Decoder(TABLES[name]).decode
     digest = hashlib.sha256(b"\n".join(raw)).hexdigest()
-    return Table(name, f"{name}.json", [decode(text) for text in raw], list(raw), digest)
+    rows = [decode(text) for text in raw]
+    return ListedTable(name, f"{name}.json", rows, list(raw), digest, sum(map(len, raw)))
 
 
-def write_rows(path: Path, raw: Iterable[bytes | msgspec.Raw]) -> int:
+def write_rows(path: Path, raw: Iterable[RawRow]) -> int:
     """Writes rows of JSON text as a list, one row a line, atomically; returns their number."""
     count = 0
     temporary = path.with_name(path.name + ".part")
     with temporary.open("wb") as stream:
         stream.write(b"[")
-        for text in raw:
+        rows = iter(raw)
+        while batch := list(itertools.islice(rows, _ROWS_A_WRITE)):
             stream.write(b",\n" if count else b"\n")
-            stream.write(memoryview(text) if isinstance(text, msgspec.Raw) else text)
-            count += 1
+            stream.write(b",\n".join(batch))
+            count += len(batch)
         stream.write(b"\n]\n")
         stream.flush()
         os.fsync(stream.fileno())
@@ -146,14 +257,15 @@ def write_rows(path: Path, raw: Iterable[bytes | msgspec.Raw]) -> int:
     return count
 
 
-def changed(raw: bytes | msgspec.Raw, changes: Mapping[str, Any]) -> bytes:
+def changed(raw: RawRow, changes: Mapping[str, Any]) -> bytes:
     """The row's JSON text with some fields replaced; all others keep their order and values."""
     record: dict[str, Any] = msgspec.json.decode(raw)
     record.update(changes)
     return msgspec.json.encode(record)
 
 
-def _bad_row(text: bytes | msgspec.Raw, index: int, file: str, message: str) -> DatasetError:
+def bad_row(text: RawRow, index: int, file: str, message: str) -> DatasetError:
+    """The error for a row that could not be decoded: its token and field from msgspec's message."""
     where = f"{file}, row {index}"
     with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
         where += f", token {json.loads(bytes(text))['token']}"
