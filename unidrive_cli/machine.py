@@ -20,6 +20,7 @@ PACKAGES = (
     "simplejpeg",
     "nuscenes-devkit",
     "joblib",
+    "duckdb",
     "msgspec",
     "numba",
     "distributed",
