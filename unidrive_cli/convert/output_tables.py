@@ -16,8 +16,8 @@ from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
-from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_scenes
-from unidrive_cli.tables.table import EMPTY, ListedTable, RawRow, Table, changed
+from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_rows, mended_scenes
+from unidrive_cli.tables.table import EMPTY, Indices, ListedTable, RawRow, Table
 from unidrive_cli.tables.tokens import derived_token
 
 
@@ -105,17 +105,17 @@ class OutputTables:
     def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
         """Calls `write_table(name, rows)` for every table of the output, and counts."""
         kept, changes = self.kept_annotations, self._changed_annotations
+        scenes = dict(mended_scenes(self._dataset, {unit.sample.token for unit in self._units}))
+        instances = dict(mended_instances(self._dataset, kept))
         rows: dict[str, Iterable[RawRow]] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
             "ego_pose": self._ego_poses(),
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
-            "scene": self._indexed(
-                self._dataset.scene, mended_scenes(self._dataset, {unit.sample.token for unit in self._units})
-            ),
-            "sample_annotation": self._kept_rows(self._dataset.sample_annotation, kept, changes),
-            "instance": self._indexed(self._dataset.instance, mended_instances(self._dataset, kept)),
+            "scene": mended_rows(self._dataset.scene, _indices(scenes), scenes),
+            "sample_annotation": mended_rows(self._dataset.sample_annotation, np.flatnonzero(kept), changes),
+            "instance": mended_rows(self._dataset.instance, _indices(instances), instances),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
@@ -178,7 +178,7 @@ class OutputTables:
         stays = np.ones(len(table.rows), dtype=bool)
         stays[poses] = False
         stays[poses[self.kept_sample_data]] = True
-        yield from self._kept_rows(table, stays, {})
+        yield from table.raw_at(np.flatnonzero(stays))
         for unit in self._units:
             place = dataset.sample_data.place(unit.reference, "ego_pose_token")
             pose = table.get(unit.reference.ego_pose_token, place)
@@ -216,21 +216,20 @@ class OutputTables:
 
     def _boxes_2d(self) -> Iterator[RawRow]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
-        dataset, kept, lowered = self._dataset, self.kept_annotations, self._lowered
-        links = mended_links(dataset.sample_annotation, kept)
+        dataset, kept, changes = self._dataset, self.kept_annotations, self._changed_annotations
         categories = {row.token: row.name for row in dataset.category.rows}
         instances = {row.token: categories.get(row.category_token, "") for row in dataset.instance.rows}
         for unit in self._units:
-            indices = dataset.annotation_indices(unit.sample.token).tolist()
-            annotations = dataset.annotations(unit.sample.token)
+            indices = dataset.annotation_indices(unit.sample.token)
+            annotations = list(dataset.sample_annotation.rows_at(indices))
             pictures = [
                 self._token("sample_data", unit.sample.token, channel) for channel in self._plan.rig.channels
             ]
             for box in self._receipts[unit.sample.token].boxes:
-                row, index = annotations[box.annotation], indices[box.annotation]
+                row, index = annotations[box.annotation], int(indices[box.annotation])
                 if not kept[index]:
                     continue
-                mended = links.get(index, {})
+                mended = changes.get(index, {})
                 yield _row(
                     attribute_tokens=row.attribute_tokens,
                     bbox_corners=[box.left, box.top, box.right, box.bottom],
@@ -243,7 +242,7 @@ class OutputTables:
                     prev=mended.get("prev", row.prev),
                     sample_annotation_token=row.token,
                     sample_data_token=pictures[box.camera],
-                    visibility_token=lowered.get(index, row.visibility_token),
+                    visibility_token=mended.get("visibility_token", row.visibility_token),
                 )
 
     @cached_property
@@ -259,19 +258,7 @@ class OutputTables:
         return changes
 
     def _linked_rows(self, table: Table[Any], kept: Bool) -> Iterator[RawRow]:
-        return self._kept_rows(table, kept, mended_links(table, kept))
-
-    def _kept_rows(
-        self, table: Table[Any], kept: Bool, changes: Mapping[int, Mapping[str, Any]]
-    ) -> Iterator[RawRow]:
-        indices = np.flatnonzero(kept)
-        for index, raw in zip(indices.tolist(), table.raw_at(indices), strict=True):
-            fields = changes.get(index)
-            yield changed(raw, fields) if fields else raw
-
-    def _indexed(self, table: ListedTable[Any], changes: Iterator[tuple[int, dict[str, Any]]]) -> Iterator[RawRow]:
-        for index, fields in changes:
-            yield changed(table.raw[index], fields) if fields else table.raw[index]
+        return mended_rows(table, np.flatnonzero(kept), mended_links(table, kept))
 
     @staticmethod
     def _mask(table: ListedTable[Any], tokens: list[str]) -> Bool:
@@ -281,6 +268,10 @@ class OutputTables:
 
     def _token(self, table: str, source_token: str, channel: str) -> str:
         return derived_token(table, source_token, self._plan.rig.digest, channel)
+
+
+def _indices(changes: Mapping[int, Any]) -> Indices:
+    return np.array(list(changes), dtype=np.int64)
 
 
 def _text(value: Any) -> str:

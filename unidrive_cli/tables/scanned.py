@@ -116,9 +116,9 @@ class ScannedTable(Table[R]):
 
     def names_to_check(self, rows: Indices, has_links: Callable[[str], bool]) -> Indices:
         folders, codes = self._store.folders(self.name)
-        codes = codes[rows]
-        one_by_one = np.array([not folder or has_links(folder) for folder in folders], dtype=bool)
-        _, first = np.unique(codes, return_index=True)
+        present, first, codes = np.unique(codes[rows], return_index=True, return_inverse=True)
+        names = [folders[code] for code in present]
+        one_by_one = np.array([not folder or has_links(folder) for folder in names], dtype=bool)
         return np.union1d(rows[one_by_one[codes]], rows[first])
 
     def rows_at(self, indices: Indices) -> Iterator[R]:
@@ -272,13 +272,11 @@ class _Store:
     def rows_with_dangling(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """The rows of which a list holds a token that the other table, or list, does not have."""
         known, given = _known(target)
-        found = self._fetch(
+        return self._indices(
             f"select distinct position from (select unnest({field}) as link, rowid as position from {name}) "
             f"anti join {known} on link = token order by position",
             given,
         )
-        positions: Indices = found["position"].astype(np.int64)
-        return positions
 
     def columns(self, name: str, fields: Sequence[str]) -> Float:
         """(n, k) float64 columns of a loaded table."""
@@ -293,13 +291,17 @@ class _Store:
         return found, codes
 
     def _joined(self, wanted: str, known: str, given: dict[str, Any]) -> Indices:
-        found = self._fetch(
+        return self._indices(
             f"select coalesce(place, case when link is null then {EMPTY} else {NOWHERE} end) as place "
             f"from {wanted} left join {known} on link = token order by position",
             given,
         )
-        places: Indices = found["place"].astype(np.int64)
-        return places
+
+    def _indices(self, query: str, given: dict[str, Any]) -> Indices:
+        """The one column that a query selects."""
+        (column,) = self._fetch(query, given).values()
+        indices: Indices = column.astype(np.int64)
+        return indices
 
     def _fetch(self, query: str, given: dict[str, Any]) -> dict[str, Any]:
         connection = self._database.cursor()
@@ -311,8 +313,7 @@ class _Store:
 
 def _relation(target: Table[Any]) -> str | list[str]:
     if isinstance(target, ListedTable):
-        target.find([])
-        return [row.token for row in target.rows]
+        return list(target.by_token)
     return target.name
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.table import EMPTY, Indices, Table
+from unidrive_cli.tables.table import EMPTY, Indices, RawRow, Table, changed
 
 
 def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
@@ -36,6 +36,13 @@ def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
         for row, is_there in zip(open_ends.tolist(), there.tolist(), strict=True):
             changes.setdefault(row, {})[direction] = next(tokens) if is_there else ""
     return changes
+
+
+def mended_rows(table: Table[Any], indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> Iterator[RawRow]:
+    """JSON text of some rows, with the changes, by row index, put in."""
+    for index, raw in zip(indices.tolist(), table.raw_at(indices), strict=True):
+        fields = changes.get(index)
+        yield changed(raw, fields) if fields else raw
 
 
 def are_kept(kept: Bool, links: Indices) -> Bool:

@@ -6,15 +6,13 @@ import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.schema import Scene
-from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links
-from unidrive_cli.tables.table import RawRow, Table, changed, write_rows
+from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_rows
+from unidrive_cli.tables.table import RawRow, write_rows
 
 WHOLE = ("sensor", "calibrated_sensor", "category", "attribute", "visibility", "log", "map")
 """Tables that stay as they are; they do not grow with the recordings, or only little."""
@@ -32,8 +30,10 @@ def thinned(dataset: Dataset, scenes: Sequence[Scene]) -> Iterator[tuple[Path, i
     annotations = are_kept(samples, dataset.sample_annotation.links("sample_token", dataset.sample))
     poses = np.zeros(len(dataset.ego_pose.rows), dtype=bool)
     poses[dataset.sample_data.links("ego_pose_token", dataset.ego_pose)[rows]] = True
-    with tempfile.TemporaryDirectory(prefix="unidrive-") as name:
-        root = Path(name)
+    instances = dict(mended_instances(dataset, annotations))
+    linked = {"sample": samples, "sample_data": rows, "sample_annotation": annotations}
+    with tempfile.TemporaryDirectory(prefix="unidrive-") as temporary:
+        root = Path(temporary)
         for entry in dataset.root.resolve().iterdir():
             if entry.name != dataset.version:
                 (root / entry.name).symlink_to(entry)
@@ -43,23 +43,13 @@ def thinned(dataset: Dataset, scenes: Sequence[Scene]) -> Iterator[tuple[Path, i
             "scene": (
                 raw for row, raw in zip(dataset.scene.rows, dataset.scene.raw, strict=True) if row.token in tokens
             ),
-            "sample": _kept(dataset.sample, samples),
-            "sample_data": _kept(dataset.sample_data, rows),
-            "sample_annotation": _kept(dataset.sample_annotation, annotations),
             "ego_pose": dataset.ego_pose.raw_at(np.flatnonzero(poses)),
-            "instance": (
-                changed(dataset.instance.raw[index], fields)
-                for index, fields in mended_instances(dataset, annotations)
-            ),
-            **{table: iter(getattr(dataset, table).raw) for table in WHOLE},
+            "instance": mended_rows(dataset.instance, np.array(list(instances), dtype=np.int64), instances),
+            **{name: iter(getattr(dataset, name).raw) for name in WHOLE},
         }
-        for table, kept in tables.items():
-            write_rows(folder / f"{table}.json", kept)
+        for name, kept in linked.items():
+            table = getattr(dataset, name)
+            tables[name] = mended_rows(table, np.flatnonzero(kept), mended_links(table, kept))
+        for name, texts in tables.items():
+            write_rows(folder / f"{name}.json", texts)
         yield root, int(np.count_nonzero(annotations))
-
-
-def _kept(table: Table[Any], kept: Bool) -> Iterator[RawRow]:
-    changes = mended_links(table, kept)
-    indices = np.flatnonzero(kept)
-    for index, raw in zip(indices.tolist(), table.raw_at(indices), strict=True):
-        yield changed(raw, changes[index]) if index in changes else raw
