@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
 
 from tests.clusters import Cluster, cluster
 from unidrive_cli import __version__
@@ -99,6 +99,17 @@ def test_an_address_that_is_none(address: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(room, "CONNECT_WITHIN_S", 1)
     with pytest.raises(UsageError, match=f"--scheduler {address}: "):
         list(in_cluster(operator.neg, [1], address))
+
+
+def test_a_machine_too_busy_to_start_the_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """distributed asserts that its thread started within ten seconds; seen once, where the machine had stood still."""
+
+    def start(self: distributed.utils.LoopRunner) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(distributed.utils.LoopRunner, "start", start)
+    with pytest.raises(UsageError, match="no Dask scheduler answered there within"):
+        list(in_cluster(operator.neg, [1], "tcp://127.0.0.1:1"))
 
 
 def test_a_scheduler_without_workers(bare: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
