@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+
+import distributed
 
 from tests.clusters import Cluster, cluster
 from unidrive_cli import __version__
@@ -102,7 +104,7 @@ def test_an_address_that_is_none(address: str, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_machine_too_busy_to_start_the_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """distributed asserts that its thread started within ten seconds; seen once, where the machine had stood still."""
+    """distributed asserts that its thread started within ten seconds; seen on a machine that stood still."""
 
     def start(self: distributed.utils.LoopRunner) -> None:
         raise AssertionError

@@ -167,7 +167,7 @@ def _connected(scheduler: str) -> Iterator[distributed.Client]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # other versions of libraries; what matters is compared by the workers
             client = distributed.Client(scheduler, timeout=CONNECT_WITHIN_S, set_as_default=False)
-    except (OSError, ValueError, AssertionError) as error:  # the last: a busy machine did not start the client's thread
+    except (OSError, ValueError, AssertionError) as error:  # the last: its thread did not start in time
         raise UsageError(
             f"--scheduler {scheduler}: no Dask scheduler answered there within {CONNECT_WITHIN_S} seconds.",
             hint="`dask scheduler` starts one and prints its address.",
