@@ -16,7 +16,8 @@ from tests.rig.hand_made import TEXT, with_changes
 from unidrive_cli.errors import RigError
 from unidrive_cli.geometry.lenses import FisheyeLens, OpenCVLens, Pinhole
 from unidrive_cli.rig.model import Rig
-from unidrive_cli.rig.yaml_file import MAX_FILE_BYTES, load_rig, parse_rig
+from unidrive_cli.rig.yaml_file import load_rig, parse_rig
+from unidrive_cli.rig.yaml_reading import MAX_FILE_BYTES
 
 
 def refusal(text: str) -> str:

@@ -1,0 +1,1 @@
+"""The search for a virtual rig: search space, objective, CMA-ES."""
