@@ -10,6 +10,7 @@ from unidrive_cli.cli.doctor import doctor_command
 from unidrive_cli.cli.finalise import finalise_command
 from unidrive_cli.cli.inspect_rig import inspect_rig_command
 from unidrive_cli.cli.measure import measure_command
+from unidrive_cli.cli.optimize_rig import optimize_rig_command
 from unidrive_cli.cli.synth import synth_command
 
 app = typer.Typer(
@@ -40,6 +41,7 @@ app.command("convert")(convert_command)
 app.command("finalise")(finalise_command)
 app.command("inspect-rig")(inspect_rig_command)
 app.command("measure")(measure_command)
+app.command("optimize-rig")(optimize_rig_command)
 app.command("synth")(synth_command)
 app.command("doctor")(doctor_command)
 

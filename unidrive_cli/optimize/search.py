@@ -14,15 +14,12 @@ from cmaes import CMAwM
 
 from unidrive_cli.errors import OutputError, UsageError
 from unidrive_cli.geometry.arrays import Float
-from unidrive_cli.optimize.objective import Cost, Objective
+from unidrive_cli.optimize.objective import Objective
 from unidrive_cli.optimize.space import SearchSpace
 
 _SIGMA = 0.25
 """First standard deviation, in parts of each parameter's range."""
 _LARGEST_SEED = 2**32 - 1
-
-Told = Callable[[int, int, float], None]
-"""Called after each generation with (evaluations, all of them, best objective so far)."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +52,12 @@ class Best:
 
     Attributes:
         values: (n,) the free numbers.
-        cost: the objective in its parts.
-        start: that of the start.
+        total: their objective.
         evaluations, generations, restarts: how far the search is.
     """
 
     values: Float
-    cost: Cost
-    start: Cost
+    total: float
     evaluations: int
     generations: int
     restarts: int
@@ -85,58 +80,58 @@ class Search:
         self._range = np.array([parameter.high for parameter in space.parameters]) - self._low
         self._steps = np.array([parameter.step for parameter in space.parameters]) / self._range
         self._random = np.random.default_rng(effort.seed)
-        self._restart = 0
-        self._optimizer = self._started(self._unit(space.start_values))
-        self._best_values, self._best_total = space.start_values, np.inf
-        self.evaluations = self.generations = 0
         self._known: dict[bytes, float] = {}
+        self._evaluations = self._generations = self._restarts = 0
+        self._optimizer = self._started((space.start_values - self._low) / self._range)
+        self._values, self._total = space.start_values, np.inf
 
-    def run(self, log: Path, *, resume: bool, identity: str, told: Told | None = None) -> Iterator[Best]:
-        """Advances by one generation at a time, and yields the best so far: first the start itself.
+    def run(self, log: Path, *, resume: bool, identity: str) -> Iterator[Best]:
+        """Yields the best so far, first the start itself, then after each generation.
 
         Args:
-            log: written as the search goes on, a line for each generation.
+            log: a line for each generation, written as the search goes on.
             resume: continue from the log where there is one.
             identity: digest of all that the course depends on.
 
         Raises:
             UsageError: the log is of another search.
             OutputError: the log cannot be written.
+            RigError, GeometryError: the space holds a rig that cannot be.
         """
-        start = self._cost(self._space.start_values)
-        self._best_total = start.total
         recorded = _read_log(log, identity) if resume else []
-        yield self._best(start)
-        with _writing(log), log.open("w", encoding="utf-8") as stream, self._evaluator() as evaluate:
-            stream.write(json.dumps({"search": identity}) + "\n")
-            while self.evaluations < self._effort.evaluations:
+        self._total = self._total_of(self._values)
+        yield self._best
+        lines = [{"search": identity}, *recorded]
+        write_whole(log, "".join(json.dumps(line) + "\n" for line in lines))
+        with _writing(log), self._evaluator() as evaluate, log.open("a", encoding="utf-8") as stream:
+            while self._evaluations < self._effort.evaluations:
                 asked = [self._optimizer.ask() for _ in range(self._optimizer.population_size)]
                 candidates = [self._space.on_grid(self._low + grid * self._range) for grid, _ in asked]
                 if recorded:
                     totals = recorded.pop(0)
                     if len(totals) != len(candidates):
-                        raise UsageError(
-                            f"{log} does not fit this search.", hint="Leave out --resume to start anew."
-                        )
+                        raise _not_this(log)
                 else:
                     totals = evaluate(candidates)
+                    stream.write(json.dumps(totals) + "\n")
+                    stream.flush()
                 self._tell(asked, candidates, totals)
-                stream.write(json.dumps(totals) + "\n")
-                stream.flush()
-                if told:
-                    told(self.evaluations, self._effort.evaluations, self._best_total)
-                yield self._best(start)
+                yield self._best
+
+    @property
+    def _best(self) -> Best:
+        return Best(self._values, self._total, self._evaluations, self._generations, self._restarts)
 
     def _tell(self, asked: list[tuple[Float, Float]], candidates: list[Float], totals: list[float]) -> None:
         for candidate, total in zip(candidates, totals, strict=True):
             self._known[candidate.tobytes()] = total
-            if total < self._best_total:
-                self._best_values, self._best_total = candidate, total
+            if total < self._total:
+                self._values, self._total = candidate, total
         self._optimizer.tell([(told, total) for (_, told), total in zip(asked, totals, strict=True)])
-        self.evaluations += len(totals)
-        self.generations += 1
+        self._evaluations += len(totals)
+        self._generations += 1
         if self._optimizer.should_stop():
-            self._restart += 1
+            self._restarts += 1
             self._optimizer = self._started(self._random.uniform(0, 1, len(self._low)))
 
     def _started(self, mean: Float) -> CMAwM:
@@ -146,35 +141,20 @@ class Search:
             sigma=_SIGMA,
             bounds=np.tile([0.0, 1.0], (len(mean), 1)),
             steps=self._steps,
-            seed=self._effort.seed + self._restart,
-            population_size=first * 2**self._restart,
+            seed=self._effort.seed + self._restarts,
+            population_size=first * 2**self._restarts,
         )
 
-    def _unit(self, values: Float) -> Float:
-        unit: Float = (values - self._low) / self._range
-        return unit
-
-    def _cost(self, values: Float) -> Cost:
-        return self._objective(self._space.rig(values.tolist()), self._space.depth_limit_m(values.tolist()))
-
-    def _best(self, start: Cost) -> Best:
-        return Best(
-            self._best_values,
-            self._cost(self._best_values),
-            start,
-            self.evaluations,
-            self.generations,
-            self._restart,
-        )
+    def _total_of(self, values: Float) -> float:
+        numbers = values.tolist()
+        return self._objective(self._space.rig(numbers), self._space.depth_limit_m(numbers)).total
 
     @contextmanager
     def _evaluator(self) -> Iterator[Callable[[Sequence[Float]], list[float]]]:
         def evaluate(candidates: Sequence[Float]) -> list[float]:
             unknown = list({key: c for c in candidates if (key := c.tobytes()) not in self._known}.values())
-            totals = pool.map(self._cost, unknown) if pool else map(self._cost, unknown)
-            self._known.update(
-                (candidate.tobytes(), cost.total) for candidate, cost in zip(unknown, totals, strict=True)
-            )
+            totals = (pool.map if pool else map)(self._total_of, unknown)
+            self._known.update((known.tobytes(), total) for known, total in zip(unknown, totals, strict=True))
             return [self._known[candidate.tobytes()] for candidate in candidates]
 
         pool = ThreadPoolExecutor(self._jobs) if self._jobs > 1 else None
@@ -200,14 +180,30 @@ def _read_log(log: Path, identity: str) -> list[list[float]]:
         except ValueError:
             break
     if not records or not isinstance(records[0], dict) or records[0].get("search") != identity:
-        raise UsageError(
-            f"{log} is of another search: other sources, another search file, other options or another version.",
-            hint="Leave out --resume to start anew.",
-        )
+        raise _not_this(log)
     generations = records[1:]
     if not all(isinstance(line, list) and all(isinstance(total, float) for total in line) for line in generations):
-        raise UsageError(f"{log} is no log of a search.", hint="Leave out --resume to start anew.")
+        raise _not_this(log)
     return generations
+
+
+def _not_this(log: Path) -> UsageError:
+    return UsageError(
+        f"{log} is of another search: other sources, another search file, other options or another version.",
+        hint="Leave out --resume to start anew.",
+    )
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a whole file, or nothing.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    partial = path.with_name(path.name + ".partial")
+    with _writing(path):
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
 
 
 @contextmanager
