@@ -181,8 +181,7 @@ class ProjectionReport:
             **self.overall.document(),
             **groups,
             "by_distance": bands,
-            "samples": self.samples,
-            "boxes": self.boxes,
+            "measured": {"samples": self.samples, "boxes": self.boxes},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "depth_limit_m": self.choices.depth_limit_m,
             "ground_height_m": self.choices.ground_height_m,
@@ -459,7 +458,7 @@ def _top_view(points_ego: Float, errors: Float) -> TopView:
     cell = np.floor(points_ego[:, :2] / CELL_M).astype(np.int64) + CELLS // 2
     inside = ((cell >= 0) & (cell < CELLS)).all(axis=1)
     place = cell[inside, 0] * CELLS + cell[inside, 1]
-    total: Float = np.bincount(place, errors[inside], CELLS * CELLS)
+    total = np.asarray(np.bincount(place, errors[inside], CELLS * CELLS), dtype=np.float64)
     return TopView(
         np.bincount(place, minlength=CELLS * CELLS).reshape(CELLS, CELLS),
         total.reshape(CELLS, CELLS),
