@@ -27,10 +27,10 @@ MAY_IMPORT = {  # besides errors and the room itself
     "check": "geometry rig tables",
     "warp": "geometry rig",
     "convert": "workers cluster geometry rig tables check warp",
-    "measure": "geometry rig tables warp",
-    "optimize": "geometry rig tables warp measure",
+    "measure": "workers geometry rig tables warp",
+    "optimize": "workers geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
-    "report": "geometry rig tables check warp measure",
+    "report": "workers geometry rig tables check warp measure",
     "machine": "workers cluster geometry rig tables check warp convert synth",
     "cli": "workers cluster geometry rig tables check warp convert measure optimize synth report machine",
 }

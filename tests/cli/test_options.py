@@ -243,7 +243,7 @@ def test_the_version() -> None:
         ((), ("convert", "inspect-rig", "measure", "--version")),
         (("convert",), ("SRC", "DST", "--rig", "--depth-limit", "--on-error", "--force", "--json", "--dry-run")),
         (("inspect-rig",), ("RIG_OR_DATASET", "--scene", "--json")),
-        (("measure",), ("CONVERTED_OR_SRC", "--truth", "--rig", "--source", "--scene", "--json")),
+        (("measure",), ("SRC...", "--truth", "--rig", "--source", "--scene", "--camera", "--png", "--json")),
     ],
 )
 def test_help(command: tuple[str, ...], words: tuple[str, ...], flag: str) -> None:

@@ -272,7 +272,7 @@ def refused_b(drive: Path, code: int, *words: str, options: tuple[object, ...] =
 
 
 def test_without_a_truth(drive: Path) -> None:
-    refused(unidrive("measure", drive / "src", "--rig", "6x60"), 2, "compares with a truth", "--truth TRUTH")
+    refused(unidrive("measure", drive / "out"), 2, "--rig or --truth is needed", "--truth TRUTH")
 
 
 def test_neither_a_rig_nor_a_converted_dataset(drive: Path) -> None:

@@ -14,6 +14,7 @@ import typer
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
     BLEND,
+    CAMERAS,
     CONFIG,
     DEBUG,
     DEPTH_LIMIT,
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from unidrive_cli.convert.run import PartSummary
 
 
-CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
 QUALITY = option(95, "--quality", help="JPEG quality, 1 to 100.")
 MASKS = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none.")
 VISIBILITY = option("lower", "--visibility", help="Lower a box's visibility where the virtual rig shows less of it.")

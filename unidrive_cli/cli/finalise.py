@@ -7,7 +7,6 @@ from pathlib import Path
 import typer
 
 from unidrive_cli.cli.convert import (
-    CAMERAS,
     CODEC,
     KERNEL,
     LINK,
@@ -22,6 +21,7 @@ from unidrive_cli.cli.convert import (
 )
 from unidrive_cli.cli.shared import (
     BLEND,
+    CAMERAS,
     CONFIG,
     DEBUG,
     DEPTH_LIMIT,

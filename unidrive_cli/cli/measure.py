@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import typer
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
     BLEND,
+    CAMERAS,
     CONFIG,
     DEBUG,
     DEPTH_LIMIT,
@@ -29,100 +31,215 @@ from unidrive_cli.cli.shared import (
     say_table,
     warp_choices,
 )
-from unidrive_cli.errors import UsageError
+from unidrive_cli.errors import OutputError, UnidriveError, UsageError
 from unidrive_cli.warp.choices import Blend
 
 if TYPE_CHECKING:
     from unidrive_cli.measure.fidelity import Tally
+    from unidrive_cli.measure.projection import Errors, ProjectionReport, Spread
     from unidrive_cli.measure.truth import Fidelity, TruthReport
 
-_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion")
+_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion", "camera", "png")
+_NAME_WIDTH = 34
 
 
 @guarded
 def measure_command(
     context: typer.Context,
-    dataset: Path = typer.Argument(
-        ..., metavar="CONVERTED_OR_SRC", help="A dataset that convert has written; with --rig, one to render."
+    datasets: list[Path] = typer.Argument(
+        ..., metavar="SRC...", help="With --rig the datasets to measure; else one that convert has written."
     ),
+    rig: str | None = option(None, "--rig", help=RIG_HELP, show_default=False),
     truth: Path | None = option(
         None,
         "--truth",
-        help="The same drive rendered directly through the virtual rig, all cameras at once.",
+        help="Compare pictures too: the same drive rendered directly through the virtual rig, all cameras at once.",
         show_default=False,
     ),
-    rig: str | None = option(None, "--rig", help=f"{RIG_HELP} SRC is rendered through it.", show_default=False),
     source: Path | None = option(
         None, "--source", help="The dataset that CONVERTED was made from; seams need it.", show_default=False
     ),
     version: str | None = VERSION,
     scene: list[str] = SCENES,
+    camera: list[str] = CAMERAS,
     depth_limit: float | None = DEPTH_LIMIT,
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
+    png: Path | None = option(
+        None, "--png", help="Draw the projection error there: from above, and by distance.", show_default=False
+    ),
     jobs: int | None = JOBS,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
 ) -> None:
-    """Compare virtual pictures with the truth: the same drive rendered directly through the virtual rig.
+    """Measure how far the corners of SRC's 3D boxes lie from where the virtual pictures of RIG show them.
 
-    Measures the pictures of a converted dataset, or, with --rig, those that SRC gives through that rig.
+    With --truth pictures are compared too: those of a converted dataset, or, with --rig, those that SRC gives
+    through RIG, with the same drive rendered directly through it.
     """
+    from unidrive_cli.measure.projection import measure_projection
     from unidrive_cli.measure.truth import measure_converted, measure_rendered
     from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.rig_of_dataset import open_named, resolve_rig
     from unidrive_cli.warp.pictures import size_of_file
 
-    if truth is None:
-        raise UsageError(
-            "this version of measure compares with a truth.",
-            hint="Give --truth TRUTH: the same drive rendered directly through the virtual rig.",
-        )
-    with Progress("samples", sys.stderr) as progress:
-        if rig is None:
-            _refuse_choices(context)
-            report = measure_converted(
-                open_dataset(dataset, version),
+    if truth is not None and len(datasets) > 1:
+        raise UsageError(f"--truth compares the pictures of one dataset; {len(datasets)} are given.")
+    if rig is None:
+        if truth is None:
+            raise UsageError(
+                "--rig or --truth is needed.",
+                hint="Give --rig RIG for the projection error of SRC, or --truth TRUTH for a converted dataset.",
+            )
+        _refuse_choices(context)
+    elif source is not None:
+        raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
+    elif truth is None and "blend" in _on_the_command_line(context):
+        raise UsageError("--blend goes with --truth; the projection error is that of the angular blend.")
+    compared: TruthReport | None = None
+    projected: ProjectionReport | None = None
+    notes: list[str] = []
+    workers = jobs_of(jobs)
+    if rig is None and truth is not None:
+        with Progress("samples", sys.stderr) as progress:
+            compared = measure_converted(
+                open_dataset(datasets[0], version),
                 open_named(truth),
                 source=None if source is None else open_named(source),
                 scenes=tuple(scene),
-                jobs=jobs_of(jobs),
+                jobs=workers,
                 progress=progress,
             )
-        else:
-            if source is not None:
-                raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
-            virtual_rig, notes = resolve_rig(rig, size_of_file=size_of_file)
-            report = measure_rendered(
-                open_dataset(dataset, version),
-                virtual_rig,
-                warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion),
-                open_named(truth),
-                scenes=tuple(scene),
-                jobs=jobs_of(jobs),
-                progress=progress,
-            )
-            report.notes.extend(notes)
-    if as_json:
-        typer.echo(json.dumps(report.document()))
-    else:
-        _say(report)
+    if rig is not None:
+        virtual_rig, notes = resolve_rig(rig, size_of_file=size_of_file)
+        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)
+        alone = len(datasets) == 1
+        opened = [open_dataset(one, version) if alone else open_named(one, version) for one in datasets]
+        if truth is not None:
+            with Progress("samples", sys.stderr) as progress:
+                compared = measure_rendered(
+                    opened[0],
+                    virtual_rig,
+                    choices,
+                    open_named(truth),
+                    scenes=tuple(scene),
+                    cameras=tuple(camera),
+                    jobs=workers,
+                    progress=progress,
+                )
+        try:
+            with Progress("samples", sys.stderr) as progress:
+                projected = measure_projection(
+                    opened, virtual_rig, choices, scenes=scene, cameras=camera, jobs=workers, progress=progress
+                )
+        except UnidriveError as error:
+            if compared is None or png is not None:
+                raise
+            notes.append(f"The projection error is not measured: {error.sentence}")
+    if projected is not None and png is not None:
+        _draw(projected, png)
+    _tell(projected, compared, as_json=as_json, notes=notes)
+
+
+def _draw(report: ProjectionReport, png: Path) -> None:
+    from unidrive_cli.report.projection_picture import draw_projection
+
+    try:
+        draw_projection(report, png)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}.", where=str(png)) from error
+
+
+def _on_the_command_line(context: typer.Context) -> set[str]:
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, where in sources.items() if where is not None and where.name == "COMMANDLINE"}
 
 
 def _refuse_choices(context: typer.Context) -> None:
-    """Options of the warp that are given with a converted dataset, whose pictures are what they are."""
+    """Options that are given with a converted dataset, whose pictures are what they are."""
+    given = _on_the_command_line(context)
     for name in _ONLY_WITH_RIG:
-        given = context.get_parameter_source(name)
-        if given is not None and given.name == "COMMANDLINE":
+        if name in given:
             raise UsageError(
                 f"--{name.replace('_', '-')} goes with --rig; a converted dataset has its pictures already.",
-                hint="Give --rig RIG to render SRC here and now.",
+                hint="Give --rig RIG to measure SRC here and now.",
             )
 
 
-def _say(report: TruthReport) -> None:
+def _tell(
+    projected: ProjectionReport | None, compared: TruthReport | None, *, as_json: bool, notes: Sequence[str] = ()
+) -> None:
+    reports = [report for report in (compared, projected) if report is not None]
+    all_notes = list(dict.fromkeys([*(note for report in reports for note in report.notes), *notes]))
+    if as_json:
+        both = {key: value for report in reports for key, value in report.document().items()}
+        typer.echo(json.dumps({**both, "notes": all_notes}))
+        return
+    if projected is not None:
+        _say_projection(projected)
+    if projected is not None and compared is not None:
+        typer.echo("")
+    if compared is not None:
+        _say_truth(compared)
+    for note in all_notes:
+        typer.echo(f"note: {note}")
+
+
+def _say_projection(report: ProjectionReport) -> None:
+    found = report.overall
+    share = found.uncovered
+    typer.echo(
+        f"{plural(report.samples, 'sample')}, {plural(report.boxes, 'annotation')}, "
+        f"{report.rig.name} with a depth limit of {report.choices.depth_limit_m:g} m; errors in metre-radians"
+    )
+    if share is not None and share.of:
+        typer.echo(
+            f"a source sees {plural(share.of, 'corner')}; no virtual camera sees {share.count:,} of them "
+            f"({share.count / share.of:.1%}); {found.behind:,} pairs end up behind the virtual camera"
+        )
+    header = ("", "pairs", "sum", "mean", "median", "p90", "blended", "mean", "median", "p90")
+    say_table(header, list(_projection_rows(report)), left=1)
+
+
+def _projection_rows(report: ProjectionReport) -> Iterator[tuple[str, ...]]:
+    from unidrive_cli.measure.projection import distance_bands
+
+    bands = {
+        f"{low} to {high} m" if high else f"{low} m and beyond": errors
+        for (low, high), errors in zip(distance_bands(), report.by_distance, strict=True)
+    }
+    groups = (
+        ("virtual camera", report.by_camera),
+        ("source", report.by_source),
+        ("class", report.by_class),
+        ("distance", bands),
+        ("dataset", report.by_dataset if len(report.by_dataset) > 1 else {}),
+    )
+    yield _errors_row("all", report.overall)
+    for title, group in groups:
+        if group:
+            yield (title, *[""] * 9)
+        yield from (_errors_row(f"  {name}", errors) for name, errors in group.items())
+
+
+def _errors_row(name: str, errors: Errors) -> tuple[str, ...]:
+    if len(name) > _NAME_WIDTH:
+        name = "  ..." + name[5 - _NAME_WIDTH :]
+    pairs = errors.pairs
+    return name, f"{pairs.count:,}", f"{pairs.sum:,.1f}", *_spread(pairs), *_blended(errors.blended)
+
+
+def _blended(spread: Spread | None) -> tuple[str, ...]:
+    return ("", "", "", "") if spread is None else (f"{spread.count:,}", *_spread(spread))
+
+
+def _spread(spread: Spread) -> tuple[str, ...]:
+    return tuple("-" if number is None else f"{number:.4f}" for number in (spread.mean, spread.median, spread.p90))
+
+
+def _say_truth(report: TruthReport) -> None:
     typer.echo(
         f"{plural(report.samples, 'sample')} compared with the truth; "
         f"{report.overall.covered:.1%} of the pixels are covered"
@@ -131,8 +248,6 @@ def _say(report: TruthReport) -> None:
     header = ("camera", *(cell for name in columns for cell in (f"{name} dB", "SSIM")))
     lines = {**report.by_camera, "all": report.overall}
     say_table(header, [_row(name, fidelity, columns) for name, fidelity in lines.items()], left=1)
-    for note in report.notes:
-        typer.echo(f"note: {note}")
 
 
 def _row(name: str, fidelity: Fidelity, columns: tuple[str, ...]) -> tuple[str, ...]:

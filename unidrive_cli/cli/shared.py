@@ -117,6 +117,7 @@ DEBUG = option(False, "--debug", help="Show a traceback with an error.")
 JSON = option(False, "--json", help="Print one JSON object instead of text.")
 VERSION = option(None, "--version", help="Version folder, where the dataset has several.", show_default=False)
 SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
+CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
 RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, or a dataset folder."
 DEPTH_LIMIT = option(
     None, "--depth-limit", help="D0: distance in metres of what is not ground (default: the rig's, or 50)."

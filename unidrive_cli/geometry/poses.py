@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from unidrive_cli.errors import GeometryError
-from unidrive_cli.geometry.arrays import Float, finite_array
+from unidrive_cli.geometry.arrays import Float, finite_array, lengths
 
 EGO_FROM_LEVEL_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """(3, 3) camera axes, in the ego frame, of a level camera that looks along ego +x."""
@@ -76,7 +76,11 @@ def relative(global_from_a: Float, global_from_b: Float) -> Float:
 
 
 def transform(a_from_b: Float, points_b: Float) -> Float:
-    """Points (..., 3) of frame b in frame a, metres."""
+    """Points (..., 3) of frame b in frame a, metres; the pose is (4, 4), or (..., 4, 4) with one for each point."""
+    if a_from_b.ndim > 2:
+        moved: Float = np.einsum("...ij,...j->...i", a_from_b[..., :3, :3], points_b)
+        moved += a_from_b[..., :3, 3]
+        return moved
     points_a: Float = points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
     return points_a
 
@@ -111,6 +115,17 @@ def rotation_from_quaternion(quaternion: Any, *, unit_tolerance: float | None = 
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def rotations_from_quaternions(quaternions: Float) -> Float:
+    """Rotation matrices (n, 3, 3) of finite quaternions (n, 4), w, x, y, z, of norms above zero."""
+    w, x, y, z = (quaternions / lengths(quaternions)[:, None]).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def quaternion_from_rotation(rotation: Float) -> Float:

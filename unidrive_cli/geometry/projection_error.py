@@ -24,9 +24,9 @@ class Sighting:
 
     Attributes:
         lens: of the source.
-        cam_from_ego: (4, 4) from the virtual pictures' ego frame into the source, the motion between the two
-            moments included.
-        centre_ego: (3,) optical centre, metres.
+        cam_from_ego: (4, 4), or (n, 4, 4) one for each of the n points, from the virtual pictures' ego frame
+            into the source, the motion between the two moments included.
+        centre_ego: (3,) or (n, 3) optical centre, metres.
         points: (m,) indices of the points it sees, ascending.
         directions_ego: (m, 3) unit vectors from the centre to them.
         border_sine: (m,) sine of the angle from those rays to the picture's border.
@@ -38,6 +38,12 @@ class Sighting:
     points: Indices
     directions_ego: Float
     border_sine: Float
+
+    def stand(self, points: Indices) -> tuple[Float, Float]:
+        """`cam_from_ego` and `centre_ego` for points (m,) of the n: one of each, or m."""
+        if self.cam_from_ego.ndim == 2:
+            return self.cam_from_ego, self.centre_ego
+        return self.cam_from_ego[points], self.centre_ego[points]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +76,16 @@ class PointErrors:
 
 
 def sight(points_ego: Float, lens: Lens, cam_from_ego: Float) -> Sighting:
-    """What a source camera sees of points (n, 3) of the virtual pictures' ego frame, metres."""
+    """What a source camera sees of points (n, 3) of the virtual pictures' ego frame, metres.
+
+    Args:
+        cam_from_ego: (4, 4); or (n, 4, 4) where the points are of several moments, in each of which the
+            source stands elsewhere.
+    """
     points_cam = transform(cam_from_ego, points_ego)
     seen = np.flatnonzero(lens.project(points_cam)[1])
-    centre = inverse(cam_from_ego)[:3, 3]
-    rays = points_ego[seen] - centre
+    centre: Float = -np.einsum("...ji,...j->...i", cam_from_ego[..., :3, :3], cam_from_ego[..., :3, 3])
+    rays = points_ego[seen] - (centre if centre.ndim == 1 else centre[seen])
     rays /= lengths(rays)[:, None]
     return Sighting(lens, cam_from_ego, centre, seen, rays, lens.border_sine(points_cam[seen]))
 
@@ -103,7 +114,7 @@ def point_errors(
     parts: list[tuple[Indices, Indices, Float, Float]] = []
     behind = 0
     for index, sighting in enumerate(sightings):
-        if not half_ball.contains(sighting.centre_ego):
+        if not half_ball.contains(sighting.centre_ego).all():
             raise GeometryError(
                 f"source {index} stands outside of the virtual camera's half-ball (radius {half_ball.radius_m:g} m)."
             )
@@ -111,14 +122,14 @@ def point_errors(
         point = sighting.points[shown]
         seen_by_source[point] = True
         rays = sighting.directions_ego[shown]
-        scene_points = half_ball.surface_points(sighting.centre_ego, rays)
+        scene_points = half_ball.surface_points(sighting.stand(point)[1], rays)
         warped = transform(cam_from_ego, scene_points)
         ahead = warped[:, 2] > 0
         if not ahead.all():
             behind += int(np.count_nonzero(~ahead))
             shown, point, scene_points, warped = shown[ahead], point[ahead], scene_points[ahead], warped[ahead]
         true = points_cam[point]
-        share = _shares(sightings, index, sighting.border_sine[shown], scene_points, centre)
+        share = _shares(sightings, index, point, sighting.border_sine[shown], scene_points, centre)
         parts.append((point, np.full(len(point), index), _angle_between(warped, true), share))
     point, source, angles, share = (np.concatenate(part) for part in zip(*parts, strict=True))
     distance = lengths(points_cam[point])
@@ -136,24 +147,29 @@ def _angle_between(warped_cam: Float, true_cam: Float) -> Float:
 
 
 def _shares(
-    sightings: Sequence[Sighting], own: int, own_border_sine: Float, scene_points_ego: Float, centre_ego: Float
+    sightings: Sequence[Sighting],
+    own: int,
+    points: Indices,
+    own_border_sine: Float,
+    scene_points_ego: Float,
+    centre_ego: Float,
 ) -> Float:
-    """Normalised weights (m,) of one source at the scene points (m, 3) that its own rays meet."""
+    """Normalised weights (m,) of one source at the scene points (m, 3) that its rays through `points` (m,) meet."""
     to_virtual = scene_points_ego - centre_ego
     to_virtual /= lengths(to_virtual)[:, None]
 
-    def weight(sighting: Sighting, border_sine: Float, at: Indices | slice) -> Float:
-        to_source = scene_points_ego[at] - sighting.centre_ego
+    def weight(source_ego: Float, border_sine: Float, at: Indices | slice) -> Float:
+        to_source = scene_points_ego[at] - source_ego
         to_source /= lengths(to_source)[:, None]
         return angular_weights(border_sine, lengths(to_source - to_virtual[at]))
 
-    mine = weight(sightings[own], own_border_sine, slice(None))
+    mine = weight(sightings[own].stand(points)[1], own_border_sine, slice(None))
     total = mine.copy()
     for index, other in enumerate(sightings):
         if index == own:
             continue
-        points_cam = transform(other.cam_from_ego, scene_points_ego)
+        points_cam = transform(other.stand(points)[0], scene_points_ego)
         at = np.flatnonzero(other.lens.project(points_cam)[1])
-        total[at] += weight(other, other.lens.border_sine(points_cam[at]), at)
+        total[at] += weight(other.stand(points[at])[1], other.lens.border_sine(points_cam[at]), at)
     share: Float = mine / total
     return share

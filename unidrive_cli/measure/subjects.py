@@ -128,16 +128,20 @@ class ConvertedPictures:
 class RenderedPictures:
     """Pictures rendered in memory from a dataset's cameras, as `unidrive convert` would before it encodes them."""
 
-    def __init__(self, dataset: Dataset, rig: Rig, choices: WarpChoices) -> None:
+    def __init__(self, dataset: Dataset, rig: Rig, choices: WarpChoices, cameras: Collection[str] = ()) -> None:
         """
+        Args:
+            cameras: channels to render from; all where empty.
+
         Raises:
+            UsageError: an unknown camera.
             DatasetError: no cameras.
             RigError: a virtual camera below the ground, or a depth limit below its height.
         """
         self.dataset = dataset
         self.rig = rig
         self.notes: list[str] = []
-        self._channels = dataset.camera_channels()
+        self._channels = dataset.camera_channels(cameras)
         if not self._channels:
             raise DatasetError("holds no cameras to render from.", where=str(dataset.folder))
         self._choices = choices

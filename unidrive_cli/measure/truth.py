@@ -133,17 +133,18 @@ def measure_rendered(
     truth: Dataset,
     *,
     scenes: tuple[str, ...] = (),
+    cameras: tuple[str, ...] = (),
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> TruthReport:
     """Renders a dataset through a rig in memory, and compares with the truth.
 
-    Args, and further errors: those of `measure_converted`.
+    Args, and further errors: those of `measure_converted`, and `cameras`: channels to render from; all where empty.
 
     Raises:
         RigError: a rig that does not fit the choices.
     """
-    return _measure(RenderedPictures(source, rig, choices), truth, scenes, jobs, progress)
+    return _measure(RenderedPictures(source, rig, choices, cameras), truth, scenes, jobs, progress)
 
 
 def _measure(
