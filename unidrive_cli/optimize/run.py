@@ -65,14 +65,15 @@ def optimise_rig(
     Args:
         jobs: candidates evaluated at once; the result does not depend on it.
         resume: continue the search whose log lies beside `out`.
-        force: replace `out`.
+        force: replace `out` and its log.
 
     Raises:
         UsageError: bounds that hold rigs which cannot be, or a log of another search.
-        OutputError: `out` exists, or cannot be written.
+        OutputError: `out` or its log exists, or cannot be written.
     """
-    if out.exists() and not (force or resume):
-        raise OutputError("exists.", where=str(out), hint="--resume continues its search, --force replaces it.")
+    for path in (out, log_of(out)):
+        if path.exists() and not (force or resume):
+            raise OutputError("exists.", where=str(path), hint="--resume continues its search, --force replaces it.")
     _check_bounds(search_file, cars)
     objective = Objective(cars, search_file.penalties, search_file.ground_height_m)
     search = Search(search_file.space, objective, effort, jobs)
