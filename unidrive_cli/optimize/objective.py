@@ -136,12 +136,9 @@ class Car:
         self.points = np.ascontiguousarray(corners_ego.reshape(-1, 3))
         self.count = int(np.count_nonzero(self.seen_by))
         self.cam_from_ego = np.array([cam_from_ego for _, cam_from_ego in sources])
-
-    @property
-    def pinholes(self) -> list[Pinhole] | None:
-        """The cameras' lenses, or None where one has distortion."""
-        lenses = [camera.lens for camera in self.rig.cameras if isinstance(camera.lens, Pinhole)]
-        return lenses if len(lenses) == len(self.rig.cameras) else None
+        pinholes = [camera.lens for camera in rig.cameras if isinstance(camera.lens, Pinhole)]
+        self.all_pinholes = len(pinholes) == len(rig.cameras)
+        self.packed_lenses, self.packed_normals = _packed(pinholes)
 
     @cached_property
     def sightings(self) -> list[Sighting]:
@@ -166,7 +163,7 @@ class Objective:
         self.cars = tuple(cars)
         self.penalties = penalties
         self.ground_height_m = ground_height_m
-        possible = all(car.pinholes is not None for car in self.cars)
+        possible = all(car.all_pinholes for car in self.cars)
         self.compiled = possible and _has_numba() if compiled is None else compiled
 
     def __call__(self, rig: Rig, depth_limit_m: float) -> Cost:
@@ -177,7 +174,7 @@ class Objective:
             GeometryError: a source outside of a virtual camera's half-ball.
         """
         views = virtual_views(rig, depth_limit_m, self.ground_height_m)
-        sums, filled = self._compiled(views) if self.compiled else self._plain(views)
+        filled = self.filled(views)
         sizes = np.array([view.camera.lens.width_px * view.camera.lens.height_px for view in views])
         shares = (filled * sizes[:, None]).sum(axis=0) / sizes.sum()
         costs = tuple(
@@ -190,72 +187,83 @@ class Objective:
                 float(pair_sum),
                 int(pairs),
             )
-            for car, (error, uncovered, pair_sum, pairs, _), share in zip(self.cars, sums, shares, strict=False)
+            for car, share, (error, uncovered, pair_sum, pairs, _) in zip(
+                self.cars, shares[:-1], self.corner_sums(views), strict=True
+            )
         )
         return Cost(costs, float(1 - shares[-1]), self.penalties)
 
-    def _compiled(self, views: Sequence[VirtualView]) -> tuple[Float, Float]:
+    def corner_sums(self, views: Sequence[VirtualView]) -> Float:
+        """(cars, 5) sums over each car's corners, see `kernel.corner_errors`."""
+        if not self.compiled:
+            return np.array([_corner_sums(car, views) for car in self.cars])
         from unidrive_cli.optimize import kernel
 
-        view_from_ego, view_lens, view_normals = _cameras(
-            [view.camera.pinhole for view in views], [inverse(view.camera.ego_from_cam) for view in views]
-        )
-        ego_from_view = np.array([view.camera.ego_from_cam for view in views])
-        grounds = np.array(
+        packed = _PackedViews(views)
+        return np.array(
             [
-                [
-                    *(view.half_ball.ground.normal @ view.camera.ego_from_cam[:3, :3]),
-                    float(view.half_ball.ground.height_m(view.camera.centre_ego)),
-                ]
-                for view in views
-            ]
-        )
-        radius = views[0].half_ball.radius_m
-        sums, poses, lenses, owners = [], [], [], []
-        for index, car in enumerate(self.cars):
-            _, source_lens, source_normals = _cameras(car.pinholes or [], car.cam_from_ego)
-            source_from_view = np.ascontiguousarray((car.cam_from_ego[None] @ ego_from_view[:, None])[:, :, :3])
-            centre_view = -np.einsum(
-                "vsji,vsj->vsi", source_from_view[..., :3], source_from_view[..., 3]
-            )  # of a rigid pose's inverse
-            sums.append(
                 kernel.corner_errors(
                     car.boxes,
                     car.points,
                     car.seen_by,
-                    source_from_view,
-                    centre_view,
-                    source_lens,
-                    source_normals,
-                    view_from_ego,
-                    view_lens,
-                    view_normals,
-                    grounds,
-                    radius,
+                    *packed.of_sources(car.cam_from_ego),
+                    car.packed_lenses,
+                    car.packed_normals,
+                    packed.from_ego,
+                    packed.lenses,
+                    packed.normals,
+                    packed.grounds,
+                    packed.radius_m,
                     (PIXEL_TOLERANCE, BORDER_FLOOR, PARALLAX_FLOOR),
                 )
-            )
-            poses.append(source_from_view)
-            lenses.append(source_lens)
-            owners.extend([index] * len(source_lens))
-        filled = kernel.filled(
+                for car in self.cars
+            ]
+        )
+
+    def filled(self, views: Sequence[VirtualView]) -> Float:
+        """(views, cars + 1) shares of each virtual picture that each car fills, and that all of them do."""
+        if not self.compiled:
+            return np.array([_filled(self.cars, view) for view in views])
+        from unidrive_cli.optimize import kernel
+
+        packed = _PackedViews(views)
+        owners = [[index] * len(car.rig.cameras) for index, car in enumerate(self.cars)]
+        shares: Float = kernel.filled(
             *GRID,
-            np.concatenate(poses, axis=1),
-            np.concatenate(lenses),
-            np.array(owners, dtype=np.int64),
+            packed.of_sources(np.concatenate([car.cam_from_ego for car in self.cars]))[0],
+            np.concatenate([car.packed_lenses for car in self.cars]),
+            np.concatenate(owners),
             len(self.cars),
-            view_lens,
-            grounds,
-            radius,
+            packed.lenses,
+            packed.grounds,
+            packed.radius_m,
             PIXEL_TOLERANCE,
         )
-        return np.array(sums), filled
+        return shares
 
-    def _plain(self, views: Sequence[VirtualView]) -> tuple[Float, Float]:
-        return (
-            np.array([_corner_errors(car, views) for car in self.cars]),
-            np.array([_filled(self.cars, view) for view in views]),
+
+class _PackedViews:
+    """Virtual cameras as the kernel takes them."""
+
+    def __init__(self, views: Sequence[VirtualView]) -> None:
+        cameras = [view.camera for view in views]
+        self.lenses, self.normals = _packed([camera.pinhole for camera in cameras])
+        self.from_ego = np.array([inverse(camera.ego_from_cam)[:3] for camera in cameras])
+        self.radius_m = views[0].half_ball.radius_m
+        self._ego_from = np.array([camera.ego_from_cam for camera in cameras])
+        grounds = [view.half_ball.ground for view in views]
+        self.grounds = np.array(
+            [
+                [*(ground.normal @ camera.ego_from_cam[:3, :3]), float(ground.height_m(camera.centre_ego))]
+                for ground, camera in zip(grounds, cameras, strict=True)
+            ]
         )
+
+    def of_sources(self, cam_from_ego: Float) -> tuple[Float, Float]:
+        """Poses (K, J, 3, 4) from the views into sources (J, 4, 4), and the sources' centres (K, J, 3)."""
+        source_from_view = np.ascontiguousarray((cam_from_ego[None] @ self._ego_from[:, None])[:, :, :3])
+        centres = -np.einsum("vsji,vsj->vsi", source_from_view[..., :3], source_from_view[..., 3])
+        return source_from_view, centres
 
 
 def _seen_by(sources: Sequence[tuple[Lens, Float]], corners_ego: Float) -> npt.NDArray[np.uint64]:
@@ -267,17 +275,13 @@ def _seen_by(sources: Sequence[tuple[Lens, Float]], corners_ego: Float) -> npt.N
     return bits
 
 
-def _cameras(lenses: Sequence[Pinhole], cam_from_ego: Sequence[Float] | Float) -> tuple[Float, Float, Float]:
-    """Poses (n, 3, 4), lenses (n, 6) and normals of the border planes (n, 4, 3), as the kernel takes them."""
+def _packed(lenses: Sequence[Pinhole]) -> tuple[Float, Float]:
+    """Lenses (n, 6) and unit normals (n, 4, 3) of their border planes, as the kernel takes them."""
     numbers = [[lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.width_px, lens.height_px] for lens in lenses]
-    return (
-        np.ascontiguousarray(np.array(cam_from_ego)[:, :3]),
-        np.array(numbers, dtype=np.float64),
-        np.array([lens.border_normals() for lens in lenses]),
-    )
+    return np.array(numbers, dtype=np.float64), np.array([lens.border_normals() for lens in lenses])
 
 
-def _corner_errors(car: Car, views: Sequence[VirtualView]) -> Float:
+def _corner_sums(car: Car, views: Sequence[VirtualView]) -> Float:
     """(5,) as `kernel.corner_errors`."""
     total, shown = np.zeros(len(car.points)), np.zeros(len(car.points))
     pair_sum, pairs, behind = 0.0, 0, 0
