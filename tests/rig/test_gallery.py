@@ -77,8 +77,28 @@ def cameras_of(rig: Rig) -> dict:
 
 
 def test_the_gallery_is_complete() -> None:
-    assert set(gallery_names()) == {*PAPER, "nuscenes-like", "roof-6x70", "unidrive-released-6x60"}
-    assert {path.suffix for path in gallery_folder().iterdir()} == {".yaml"}
+    ours = {"nuscenes-like", "roof-6x70", "unidrive-released-6x60", "intuitive-6", "unidrive-optimised-6"}
+    assert set(gallery_names()) == {*PAPER, *ours}
+
+
+def test_all_cameras_of_the_intuitive_rig_stand_at_the_centre_of_the_roof() -> None:
+    cameras = cameras_of(load_gallery_rig("intuitive-6"))
+    assert {camera.channel for camera in cameras.values()} == set(cameras_of(load_gallery_rig("roof-6x70")))
+    for camera in cameras.values():
+        np.testing.assert_allclose(camera.centre_ego, [1.3, 0, 1.6])
+
+
+def test_the_optimised_rig_is_the_same_left_and_right() -> None:
+    rig = load_gallery_rig("unidrive-optimised-6")
+    cameras = cameras_of(rig)
+    assert rig.depth_limit_m is not None
+    for left, right in (("CAM_FRONT_LEFT", "CAM_FRONT_RIGHT"), ("CAM_BACK_LEFT", "CAM_BACK_RIGHT")):
+        one, other = cameras[left], cameras[right]
+        np.testing.assert_allclose(one.centre_ego * [1, -1, 1], other.centre_ego, atol=1e-9)
+        np.testing.assert_allclose(
+            np.multiply(one.yaw_pitch_roll_deg, [-1, 1, -1]), other.yaw_pitch_roll_deg, atol=1e-6
+        )
+        assert one.lens == other.lens
 
 
 @pytest.mark.parametrize("name", gallery_names())

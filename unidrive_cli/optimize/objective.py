@@ -30,14 +30,15 @@ class Penalties:
     """What corners and pixels cost beside the error, in metre-radians.
 
     Attributes:
-        uncovered: a corner that a rig's cameras see and no virtual camera does.
-        unfilled: all virtual pixels, where some rig fills none of them; in proportion otherwise.
+        uncovered: a corner that a rig's cameras see and no virtual camera does: as if it were shown a radian
+            off, at 30 m.
+        unfilled: all virtual pixels, if some car filled none of them; in proportion otherwise.
         worst: weight of the worst rig's own cost beside the mean of all.
     """
 
-    uncovered: float = 2.0
-    unfilled: float = 1.0
-    worst: float = 0.0
+    uncovered: float = 30.0
+    unfilled: float = 0.2
+    worst: float = 0.5
 
 
 @dataclass(frozen=True)
