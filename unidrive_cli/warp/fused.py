@@ -321,6 +321,7 @@ def _spread(floats, weights, n, apart, shares):
     else:
         _spread_by(floats, weights, n, 2, shares)
 
+
 @njit(**_INNER)
 def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats):
     """Shares of the sources that cover a stretch of a row; returns how many have any.
