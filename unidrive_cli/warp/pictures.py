@@ -217,7 +217,7 @@ def encode_mask(mask: npt.NDArray[np.uint8]) -> bytes:
     rows[0, 1:] = packed[0]
     np.subtract(packed[1:], packed[:-1], out=rows[1:, 1:])
     header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
-    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(rows, zlib.Z_BEST_SPEED)), (b"IEND", b"")
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), zlib.Z_BEST_SPEED)), (b"IEND", b"")
     return _PNG_MAGIC + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks
