@@ -69,9 +69,11 @@ def test_not_a_picture() -> None:
         decode_picture(b"GIF89a", (160, 90), "x")
 
 
-def test_masks_are_one_bit_and_exact() -> None:
-    mask = np.zeros((40, 60), dtype=np.uint8)
-    mask[7:20, 11:50] = 255
+@pytest.mark.parametrize("size", [(40, 60), (41, 67), (1, 1), (1, 9), (9, 1)])
+def test_masks_are_one_bit_and_exact(size: tuple[int, int]) -> None:
+    mask = (np.random.default_rng(1).integers(0, 3, size) * 100).astype(np.uint8)
+    mask[size[0] // 2 :] = 255
     data = encode_mask(mask)
-    assert data[24] == 1
-    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) > 0, mask > 0)
+    assert data[24:26] == b"\x01\x00"  # bits per pixel; grey
+    read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(read, np.where(mask > 0, 255, 0))

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import cv2
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import shapely
 
 from unidrive_cli.geometry import boxes as box_geometry
 from unidrive_cli.geometry.arrays import Bool, Float
-from unidrive_cli.geometry.lenses import Lens, Pinhole
+from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import inverse, transform
+from unidrive_cli.geometry.sights import Sights
 from unidrive_cli.rig.model import Camera
-from unidrive_cli.warp.remap import Source
+from unidrive_cli.warp.remap import Mask, Source
 
 NEAR_M = 0.1
 _GRID = box_geometry.volume_grid(5)
@@ -37,7 +37,7 @@ def seen_boxes(
     ego_from_box: Float,
     sizes_wlh_m: Float,
     witnesses: Sequence[Source],
-    views: Sequence[tuple[Camera, npt.NDArray[np.uint8]]],
+    views: Sequence[tuple[Camera, Mask]],
 ) -> tuple[list[float], int, list[Box2d]]:
     """What the virtual rig shows of each box, beside what the real cameras saw.
 
@@ -57,103 +57,111 @@ def seen_boxes(
     count = len(sizes_wlh_m)
     if not count:
         return [], 0, []
-    points = box_geometry.grid(ego_from_box, sizes_wlh_m, _GRID)
-    corners = box_geometry.corners(ego_from_box, sizes_wlh_m)
-    by_sources = np.zeros(points.shape[:2], dtype=bool)
+    by_sources, by_views = np.zeros((2, count, len(_GRID)), dtype=bool)
+    pinholes = [(source.lens, source.cam_from_ego) for source in witnesses if isinstance(source.lens, Pinhole)]
+    real = len(pinholes)
+    pinholes += [(camera.pinhole, inverse(camera.ego_from_cam)) for camera, _ in views]
+    sights = Sights(pinholes, ego_from_box, sizes_wlh_m, NEAR_M)
+    bounds, shows, full = _bounds_2d(sights, real, views)
+    seen = np.ones((len(sights.box), len(_GRID)), dtype=bool)
+    unknown = np.flatnonzero(~(sights.whole & full))
+    pixels, seen[unknown] = sights.project(unknown, _GRID)
+    for index in range(len(pinholes)):
+        pairs = sights.of_camera(index)
+        if index < real:
+            by_sources[sights.box[pairs]] |= seen[pairs]
+        else:
+            start, end = np.searchsorted(unknown, [pairs.start, pairs.stop])
+            seen[unknown[start:end]] &= _covered_at(views[index - real][1], pixels[:, start:end])
+            by_views[sights.box[pairs]] |= seen[pairs]
     for source in witnesses:
-        ahead = _ahead(source.cam_from_ego, corners)
-        if isinstance(source.lens, Pinhole):
-            ahead = ahead[_may_show(source.lens, transform(source.cam_from_ego, corners[ahead]))]
-        by_sources[ahead] |= source.lens.project(transform(source.cam_from_ego, points[ahead]))[1]
-    by_views = np.zeros(points.shape[:2], dtype=bool)
-    boxes: list[Box2d] = []
-    for index, (camera, mask) in enumerate(views):
-        cam_from_ego = inverse(camera.ego_from_cam)
-        ahead = _ahead(cam_from_ego, corners)
-        corners_cam = transform(cam_from_ego, corners[ahead])
-        shows = _may_show(camera.pinhole, corners_cam)
-        near = ahead[shows]
-        by_views[near] |= _on_covered_pixels(camera.lens, transform(cam_from_ego, points[near]), mask)
-        for place, bounds in _bounds_2d(camera, corners_cam[shows], mask):
-            boxes.append(Box2d(index, int(near[place]), *(round(side, 3) for side in bounds)))
+        if not isinstance(source.lens, Pinhole):
+            depth_m = transform(source.cam_from_ego, box_geometry.corners(ego_from_box, sizes_wlh_m))[..., 2]
+            ahead = np.flatnonzero(depth_m.max(axis=1) >= NEAR_M)
+            points = box_geometry.grid(source.cam_from_ego @ ego_from_box[ahead], sizes_wlh_m[ahead], _GRID)
+            by_sources[ahead] |= source.lens.project(points)[1]
+    boxes = [
+        Box2d(camera - real, annotation, *(round(side, 3) for side in sides))
+        for camera, annotation, sides in zip(
+            sights.camera[shows].tolist(), sights.box[shows].tolist(), bounds[shows].tolist(), strict=True
+        )
+    ]
     shown_anywhere = {box.annotation for box in boxes}
-    virtual, source = by_views.sum(axis=1), by_sources.sum(axis=1)
-    share = np.minimum(virtual / np.maximum(source, 1), 1.0)
+    virtual, witnessed = by_views.sum(axis=1), by_sources.sum(axis=1)
+    share = np.minimum(virtual / np.maximum(witnessed, 1), 1.0).tolist()
     shown = [
-        max(round(float(share[annotation]), 4), _MIN_SHARE) if annotation in shown_anywhere else 0.0
+        max(round(share[annotation], 4), _MIN_SHARE) if annotation in shown_anywhere else 0.0
         for annotation in range(count)
     ]
-    return shown, int(np.count_nonzero(source == 0)), boxes
+    return shown, int(np.count_nonzero(witnessed == 0)), boxes
 
 
-def _ahead(cam_from_ego: Float, corners_ego: Float) -> npt.NDArray[np.intp]:
-    """Indices of the boxes (n, 8, 3) that reach at least NEAR_M in front of a camera."""
-    depth = corners_ego @ cam_from_ego[2, :3] + cam_from_ego[2, 3]
-    return np.flatnonzero(depth.max(axis=1) >= NEAR_M)
-
-
-def _may_show(lens: Pinhole, corners_cam: Float) -> Bool:
-    """(n,) False where a box (n, 8, 3) lies wholly beyond one of the four planes through the picture's borders."""
-    inside: Bool = ((corners_cam @ lens.border_normals().T).max(axis=1) > 0).all(axis=1)
-    return inside
-
-
-def _on_covered_pixels(lens: Lens, points_cam: Float, mask: npt.NDArray[np.uint8]) -> Bool:
-    pixels, inside = lens.project(points_cam)
-    columns, rows = np.rint(np.where(inside[..., None], pixels, 0)).astype(np.intp).reshape(-1, 2).T
-    rows, columns = np.clip(rows, 0, lens.height_px - 1), np.clip(columns, 0, lens.width_px - 1)
-    covered: Bool = inside & (mask[rows, columns].reshape(inside.shape) > 0)
+def _covered_at(mask: Mask, pixels: Float) -> Bool:
+    """Whether a mask holds the pixels next to (2, ...); those beside the picture count as its border."""
+    height_px, width_px = mask.shape
+    columns, rows = np.rint(pixels).clip(0, [[[width_px - 1]], [[height_px - 1]]]).astype(np.intp)
+    covered: Bool = mask[rows, columns] > 0
     return covered
 
 
-def _bounds_2d(
-    camera: Camera, corners_cam: Float, mask: npt.NDArray[np.uint8]
-) -> Iterator[tuple[int, tuple[float, float, float, float]]]:
-    """(index, (left, top, right, bottom)) of the boxes (n, 8, 3) that show on covered pixels of a picture."""
-    canvas = np.array([camera.lens.width_px, camera.lens.height_px])
-    whole = corners_cam[..., 2].min(axis=1) >= NEAR_M
-    pixels = _pixels(camera, np.where(whole[:, None, None], corners_cam, 1.0))
+def _bounds_2d(sights: Sights, first: int, views: Sequence[tuple[Camera, Mask]]) -> tuple[Float, Bool, Bool]:
+    """Where boxes are in the pictures of the cameras from `first` on.
+
+    Returns:
+        (p, 4) left, top, right, bottom; (p,) whether the box shows on covered pixels; and (p,) whether it is
+        another camera's, or lies within the picture with all pixels round it covered.
+    """
+    whole = sights.corners[..., 2].min(axis=1) >= NEAR_M
+    pixels = _pixels(np.where(whole[:, None, None], sights.corners, 1.0))
     low, high = pixels.min(axis=1), pixels.max(axis=1)
-    beside = (high <= 0).any(axis=1) | (low >= canvas).any(axis=1)
-    inside = (low >= 0).all(axis=1) & (high <= canvas).all(axis=1)
-    for index in np.flatnonzero(~(whole & beside)):
-        if whole[index] and inside[index] and _is_full(_covered(mask, low[index], high[index])):
-            yield int(index), (*low[index].tolist(), *high[index].tolist())
+    bounds = np.concatenate([low, high], axis=1)
+    shows, full = np.zeros(len(bounds), dtype=bool), np.ones(len(bounds), dtype=bool)
+    for index, (camera, mask) in enumerate(views):
+        canvas = np.array([camera.lens.width_px, camera.lens.height_px])
+        pairs = sights.of_camera(first + index)
+        within = whole[pairs] & ((low[pairs] >= 0) & (high[pairs] <= canvas)).all(axis=1)
+        within[within] = [_is_full(_covered(mask, *sides)) for sides in bounds[pairs][within].tolist()]
+        shows[pairs] = full[pairs] = within
+        beside = whole[pairs] & ((high[pairs] <= 0) | (low[pairs] >= canvas)).any(axis=1)
+        cut = pairs.start + np.flatnonzero(~(within | beside))
+        if not len(cut):
             continue
-        points = pixels[index]
-        if not whole[index]:
-            points = _pixels(camera, box_geometry.clipped_outline(corners_cam[index], NEAR_M))
-        outline = shapely.convex_hull(shapely.multipoints(points))
-        outline = shapely.clip_by_rect(outline, 0, 0, *canvas)
-        if isinstance(outline, shapely.Polygon) and not outline.is_empty and _touches(mask, outline):
-            yield int(index), outline.bounds
+        outlines = [
+            pixels[pair] if whole[pair] else _pixels(box_geometry.clipped_outline(sights.corners[pair], NEAR_M))
+            for pair in cut
+        ]
+        owners = np.repeat(np.arange(len(cut)), [len(outline) for outline in outlines])
+        hulls = shapely.convex_hull(shapely.multipoints(np.concatenate(outlines), indices=owners))
+        parts = shapely.clip_by_rect(hulls, 0, 0, *canvas)
+        bounds[cut] = shapely.bounds(parts)
+        areas = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
+        for pair, part in zip(cut[areas], parts[areas], strict=True):
+            shows[pair] = _touches(mask, part, bounds[pair])
+    return bounds, shows, full
 
 
-def _pixels(camera: Camera, points_cam: Float) -> Float:
-    """Pixels (..., 2) of points (..., 3) in front of a virtual camera, also beside its picture."""
-    lens = camera.pinhole
-    pixels: Float = points_cam[..., :2] / points_cam[..., 2:]
-    return pixels * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
+def _pixels(homogeneous: Float) -> Float:
+    """Pixels (..., 2) of u z, v z, z (..., 3) with z > 0."""
+    pixels: Float = homogeneous[..., :2] / homogeneous[..., 2:]
+    return pixels
 
 
-def _covered(mask: npt.NDArray[np.uint8], low: Float, high: Float) -> npt.NDArray[np.uint8]:
-    """The part of a mask that holds the pixels from `low` to `high`, (2,) each."""
-    (left, top), (right, bottom) = low.astype(int), high.astype(int)
-    return mask[top : bottom + 1, left : right + 1]
+def _covered(mask: Mask, left: float, top: float, right: float, bottom: float) -> Mask:
+    """The part of a mask that holds every pixel of a box within the picture, whether cut or rounded to one."""
+    return mask[int(top) : round(bottom) + 1, int(left) : round(right) + 1]
 
 
-def _is_full(mask: npt.NDArray[np.uint8]) -> bool:
+def _is_full(mask: Mask) -> bool:
     return cv2.countNonZero(mask) == mask.size
 
 
-def _touches(mask: npt.NDArray[np.uint8], outline: shapely.Polygon) -> bool:
+def _touches(mask: Mask, outline: shapely.Polygon, bounds: Float) -> bool:
     """Whether an outline inside the picture holds a pixel of a mask."""
-    low, high = np.array(outline.bounds).reshape(2, 2)
-    part = _covered(mask, low, high)
+    left, top, right, bottom = bounds.astype(int)
+    part = mask[top : bottom + 1, left : right + 1]
     count = cv2.countNonZero(part)
     if count in (0, part.size):
         return count > 0
     inside = np.zeros(part.shape, dtype=np.uint8)
-    polygon = np.rint(shapely.get_coordinates(outline) - low.astype(int)).astype(np.int32)
-    cv2.fillConvexPoly(inside, polygon, (1,))
+    cv2.fillConvexPoly(inside, np.rint(shapely.get_coordinates(outline) - [left, top]).astype(np.int32), (1,))
     return bool((inside & part).any())

@@ -35,7 +35,7 @@ from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
 
-METHOD = 2
+METHOD = 3
 """Version of what the pictures and tables depend on; a change of results raises it."""
 
 STANDARD_CHANNELS = (

@@ -42,6 +42,7 @@ def _can_cache() -> bool:
 
 _OPTIONS: dict[str, Any] = {"cache": _can_cache(), "error_model": "numpy", "nogil": True, "_nrt": False}
 _INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_TIGHT = {**_INNER, "forceinline": True}
 
 CHUNK = 512
 """Pixels drawn at once: their coordinates and taps stay in the first-level cache."""
@@ -100,7 +101,7 @@ def _prefetch(typingctx: Any, array: Any, index: Any) -> Any:
     return signature, codegen
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _whole_lanes(n):
     return (n + LANES - 1) // LANES * LANES
 
@@ -113,7 +114,7 @@ def _inverse_depth_at(x, square, per_length, ground_x, ground):
     return ball if ball > plane else plane
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _inverse_depth(xs, start, n, y, scene, floats):
     """w of `n` pixels of a row, from `start` on, into the same places of the scratch."""
     per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
@@ -122,7 +123,7 @@ def _inverse_depth(xs, start, n, y, scene, floats):
         floats[_WS, i] = _inverse_depth_at(xs[i], square, per_length, ground_x, ground)
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _place_nodes(x_start, x_step, n, y, scene, floats):
     """x and w of `n` nodes of a row."""
     per_length, ground_x = _f4(scene[PER_LENGTH]), _f4(scene[GROUND])
@@ -133,13 +134,13 @@ def _place_nodes(x_start, x_step, n, y, scene, floats):
         floats[_NODE_WS, i] = _inverse_depth_at(x, square, per_length, ground_x, ground)
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _form(models, j, row, y):
     """A form at one row of the picture: float32 factors of x, 1, w."""
     return _f4(models[j, row, 0]), _f4(models[j, row, 1] * y + models[j, row, 2]), _f4(models[j, row, 3])
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
     """Source pixels of a stretch of a row: byte index of the upper left tap, and 8-bit fractions."""
     rows = CHROMA if chroma else LUMA
@@ -165,14 +166,14 @@ def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
         ints[fraction, i] = _i4(_i4(_i4(iv & _i4(255)) << _i4(8)) | _i4(iu & _i4(255)))
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _scaled(form, zx, z0, zw):
     """A form whose quotient with Z is 256 times as large, and rounds when it is cut to a whole number."""
     scale, half = _f4(256), _f4(0.5)
     return scale * form[0] + half * zx, scale * form[1] + half * z0, scale * form[2] + half * zw
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _gather(atlas, offset, stride, ints, k, n, taps):
     """The four taps of each pixel, packed into 32 bits."""
     index = 2 * k
@@ -195,7 +196,7 @@ def _bilinear(tap, f):
     return _i4(_i4(upper << _i4(8)) + _i4(fy * _i4(lower - upper)))
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _store(taps, ints, k, n, canvas, start):
     """Writes the bilinear samples of packed taps to `canvas` from `start` on."""
     first, fraction = _u8(start), 2 * k + 1
@@ -203,7 +204,7 @@ def _store(taps, ints, k, n, canvas, start):
         canvas[first + i] = np.uint8(_i4(_i4(_bilinear(taps[i], ints[fraction, i]) + _i4(32768)) >> _i4(16)))
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _add(taps, ints, k, n, floats, share):
     """Adds share * bilinear sample of packed taps to the totals."""
     fraction = 2 * k + 1
@@ -212,14 +213,14 @@ def _add(taps, ints, k, n, floats, share):
         floats[_TOTALS, i] += floats[share, i] * value
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _store_totals(floats, n, canvas, start):
     first = _u8(start)
     for i in range(_u8(n)):
         canvas[first + i] = np.uint8(_i4(floats[_TOTALS, i]))
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _weigh(n, y, models, j, scene, floats, row):
     """Angular weights of a source at `n` nodes of a row (`geometry.blending.angular_weights`)."""
     n0x, n00, n0w = _form(models, j, BORDERS, y)
@@ -256,7 +257,7 @@ def _weigh(n, y, models, j, scene, floats, row):
         floats[row, i] = sine * sine / (floored * floored)
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _share(among, n, min_share, floats):
     """Turns weights into shares that sum to 1; those below `min_share` are dropped."""
     for _ in range(2):
@@ -282,32 +283,43 @@ def _choose_largest(among, n, floats):
             floats[_WEIGHTS + k, i] = _f4(1) if k == best else _f4(0)
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _summarise(among, n, floats):
     """Notes the largest share of each source; returns the largest step of any from one node to the next."""
-    steepest = _f4(0)
+    steepest = _i4(0)
     for k in range(among):
-        before = floats[_WEIGHTS + k, 0]
-        most = before
-        for i in range(1, n):
-            share = floats[_WEIGHTS + k, i]
+        row = _WEIGHTS + k
+        most = _i4(0)
+        for i in range(_u8(n)):
+            share = _i4(floats[row, i] * _f4(1 << 20))
             most = share if share > most else most
-            step = share - before if share > before else before - share
+        for i in range(_u8(n - 1)):
+            step = _i4((floats[row, i + _u8(1)] - floats[row, i]) * _f4(1 << 20))
+            step = step if step > _i4(0) else _i4(-step)
             steepest = step if step > steepest else steepest
-            before = share
-        floats[_LARGEST, k] = most
-    return steepest
+        floats[_LARGEST, k] = _f4(most)
+    return _f4(steepest) * _f4(1 / (1 << 20))
 
 
-@njit(**_INNER)
-def _spread(floats, weights, n, shares):
-    """Shares between nodes that are eight pixels apart, linear, of `n` intervals."""
+@njit(inline="always", **_OPTIONS)
+def _spread_by(floats, weights, n, apart, shares):
     for i in range(_u8(n)):
         value = floats[weights, i]
-        step = (floats[weights, i + _u8(1)] - value) * _f4(1 / _NODE_STEP)
-        at = i * _u8(_NODE_STEP)
-        for place in range(_u8(_NODE_STEP)):
+        step = (floats[weights, i + _u8(1)] - value) * _f4(1 / apart)
+        at = i * _u8(apart)
+        for place in range(_u8(apart)):
             floats[shares, at + place] = value + _f4(_i4(place)) * step
+
+
+@njit(**_TIGHT)
+def _spread(floats, weights, n, apart, shares):
+    """Shares between nodes that are `apart` pixels apart, linear, of `n` intervals."""
+    if apart == 8:
+        _spread_by(floats, weights, n, 8, shares)
+    elif apart == 4:
+        _spread_by(floats, weights, n, 4, shares)
+    else:
+        _spread_by(floats, weights, n, 2, shares)
 
 
 @njit(**_INNER)
@@ -318,9 +330,9 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
     """
     first_share = _WEIGHTS + models.shape[0]
     spacing = xs[1] - xs[0]
-    apart = 1 if nearest else _NODE_STEP
+    apart, checked = 1 if nearest else _NODE_STEP, False
     while True:
-        nodes = _whole_lanes(n if apart == 1 else (n + _NODE_STEP - 1) // _NODE_STEP + 1)
+        nodes = _whole_lanes(n if apart == 1 else (n + apart - 1) // apart + 1)
         _place_nodes(xs[start], _f4(apart) * spacing, nodes, y, scene, floats)
         for k in range(among):
             _weigh(nodes, y, models, covering[k], scene, floats, _WEIGHTS + k)
@@ -329,9 +341,10 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
         else:
             _share(among, nodes, _f4(scene[MIN_SHARE]), floats)
         steepest = _summarise(among, nodes, floats)
-        if apart == 1 or steepest <= _f4(_STEEP):
+        if checked or apart == 1 or steepest <= _f4(_STEEP):
             break
-        apart = 1
+        apart = 4 if steepest <= _f4(2 * _STEEP) else (2 if steepest <= _f4(4 * _STEEP) else 1)
+        checked = True
     left = 0
     for k in range(among):
         if floats[_LARGEST, k] > 0:
@@ -340,12 +353,12 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
                 for i in range(_u8(nodes)):
                     floats[first_share + left, i] = floats[_WEIGHTS + k, i]
             else:
-                _spread(floats, _WEIGHTS + k, nodes - 1, first_share + left)
+                _spread(floats, _WEIGHTS + k, nodes - 1, apart, first_share + left)
             left += 1
     return left
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _column(x, x_first, x_step, count, slack):
     """The column at x, moved by `slack` columns, clipped to [0, count]."""
     column = (x - x_first) / x_step + slack
@@ -354,7 +367,7 @@ def _column(x, x_first, x_step, count, slack):
     return count if column >= count else int(column)
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
     """Columns of a row that a source sees at most, and those that it sees for certain: start, first, last, end.
 
@@ -389,7 +402,7 @@ def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
     return start, first, last, end
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _see(xs, start, end, y, scene, models, j, seen):
     """Whether a source sees each pixel of a stretch of a row, in float64."""
     per_length, ground_x, square = scene[PER_LENGTH], scene[GROUND], y * y + 1
@@ -406,7 +419,7 @@ def _see(xs, start, end, y, scene, models, j, seen):
         seen[i] = 1 if (least >= 0) & (ahead > 0) else 0
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _inverse_depth_bounds(xs, y, scene):
     """Bounds of w on a row."""
     x_first, x_last, square = xs[0], xs[xs.size - 1], y * y + 1
@@ -475,7 +488,7 @@ def _possible_sources(xs, ys, scene, models, sources):
     return count
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _cuts(runs, count, width, cuts):
     """Sorted columns where some run starts or ends, 0 and `width` among them; returns their number."""
     cuts[0], cuts[1], number = 0, width, 2
@@ -491,7 +504,7 @@ def _cuts(runs, count, width, cuts):
     return number
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _covering(runs, count, start, end, covering):
     """The sources whose runs hold a stretch; returns their number."""
     among = 0
@@ -502,7 +515,7 @@ def _covering(runs, count, start, end, covering):
     return among
 
 
-@njit(**_INNER)
+@njit(**_TIGHT)
 def _fill(canvas, start, end, value):
     for i in range(_u8(start), _u8(end)):
         canvas[i] = value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ Picture = npt.NDArray[np.uint8]
 _JPEG_MAGIC = b"\xff\xd8\xff"
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"
+_PNG_FILTER_UP = 2
 
 
 def picture_size(data: bytes, where: str) -> tuple[int, int]:
@@ -205,8 +207,21 @@ def encode_jpeg(picture: Picture, quality: int) -> bytes:
 
 
 def encode_mask(mask: npt.NDArray[np.uint8]) -> bytes:
-    """1-bit PNG bytes of a mask (height, width) uint8: non-zero stays non-zero."""
-    return _encode(".png", mask, [cv2.IMWRITE_PNG_BILEVEL, 1])
+    """1-bit PNG bytes of a mask (height, width) uint8: non-zero stays non-zero.
+
+    Rows are stored as differences to the row above, which are nearly all zero.
+    """
+    height, width = mask.shape
+    packed = np.packbits(mask, axis=1)
+    rows = np.full((height, 1 + packed.shape[1]), _PNG_FILTER_UP, dtype=np.uint8)
+    rows[0, 1:] = packed[0]
+    np.subtract(packed[1:], packed[:-1], out=rows[1:, 1:])
+    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), zlib.Z_BEST_SPEED)), (b"IEND", b"")
+    return _PNG_MAGIC + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
 def _encode(suffix: str, picture: npt.NDArray[np.uint8], parameters: list[int]) -> bytes:

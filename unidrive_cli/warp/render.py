@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -73,9 +74,11 @@ class Toolchain:
         """Names and versions, for the plan's digest and the provenance file."""
         if self.kernel == "opencv":
             codec = {"decode": f"simplejpeg {simplejpeg.__version__}", "encode": f"opencv {cv2.__version__}"}
-            return {"kernel": "opencv-fixed-point", "codec": codec}
-        name = self.codec if self.codec == "libturbojpeg" else f"simplejpeg {simplejpeg.__version__}"
-        return {"kernel": "numba-planes", "codec": {"decode": name, "encode": name}}
+        else:
+            name = self.codec if self.codec == "libturbojpeg" else f"simplejpeg {simplejpeg.__version__}"
+            codec = {"decode": name, "encode": name}
+        codec["masks"] = f"zlib {zlib.ZLIB_RUNTIME_VERSION}"
+        return {"kernel": "opencv-fixed-point" if self.kernel == "opencv" else "numba-planes", "codec": codec}
 
 
 def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchain:
