@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from unidrive_cli.errors import RigError
-from unidrive_cli.rig.gallery import gallery_folder, gallery_names, load_gallery_rig
+from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Rig
 
 SIX = ["CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT"]

@@ -15,6 +15,8 @@ from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
     BLEND,
     CAMERAS,
+    COMMON_SWEEP,
+    COMMON_WITH,
     CONFIG,
     DEBUG,
     DEPTH_LIMIT,
@@ -81,6 +83,8 @@ def convert_command(
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
+    common_with: list[str] = COMMON_WITH,
+    common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
     masks: Masks = MASKS,
     visibility: VisibilityRule = VISIBILITY,
@@ -119,6 +123,7 @@ def convert_command(
         rig,
         version,
         (depth_limit, ground_height, blend, ego_motion),
+        (common_with, common_sweep),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
         cameras=tuple(sorted(set(camera))),
@@ -160,24 +165,37 @@ def planned(
     rig: str,
     version: str | None,
     warp: tuple[float | None, float | None, Blend, bool],
+    common_with: tuple[list[str], float | None],
     **chosen: Any,
 ) -> Plan:
     """The plan of a conversion, from a command's options; what was found out about the rig goes to stderr.
 
     Args:
         warp: depth limit, ground height, blend, ego motion, as given.
+        common_with: rigs that must fill what is shown, and the sweep, as given.
         chosen: the other `Options`.
     """
+    from unidrive_cli.convert.common import Common
     from unidrive_cli.convert.plan import make_plan
     from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.destination import check_apart
-    from unidrive_cli.tables.rig_of_dataset import resolve_rig
+    from unidrive_cli.tables.rig_of_dataset import resolve_fleet, resolve_rig
+    from unidrive_cli.warp.common import DEFAULT_SWEEP_M
     from unidrive_cli.warp.pictures import size_of_file
 
-    virtual_rig, rig_notes = resolve_rig(rig, size_of_file=size_of_file)
-    options = Options(**asdict(warp_choices(virtual_rig, *warp)), **chosen)
+    fleet, rig_notes = resolve_fleet(rig, size_of_file)
+    options = Options(**asdict(warp_choices(fleet.virtual, *warp)), **chosen)
     check_apart(src, dst)
-    plan = make_plan(open_dataset(src, version), virtual_rig, options)
+    rigs = list(fleet.sources) if fleet.common else []
+    for name in common_with[0]:
+        found, more = resolve_rig(name, size_of_file=size_of_file)
+        rigs.append(found)
+        rig_notes.extend(more)
+    sweep_m = common_with[1]
+    if sweep_m is not None and not rigs:
+        raise UsageError("--common-sweep goes with --common-with, or with a fleet file that names `common`.")
+    common = Common(tuple(rigs), DEFAULT_SWEEP_M if sweep_m is None else sweep_m) if rigs else None
+    plan = make_plan(open_dataset(src, version), fleet.virtual, options, common)
     for note in rig_notes:
         typer.echo(f"note: {note}", err=True)
     return plan

@@ -3,42 +3,110 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, SCENES, VERSION, guarded, say_table
+from unidrive_cli.cli.shared import (
+    COMMON_SWEEP,
+    CONFIG,
+    DEBUG,
+    DEPTH_LIMIT,
+    GROUND_HEIGHT,
+    JSON,
+    SCENES,
+    VERSION,
+    guarded,
+    option,
+    say_table,
+    warp_choices,
+)
 
 if TYPE_CHECKING:
     from unidrive_cli.rig.inspection import RigFacts
+    from unidrive_cli.rig.model import Rig
+    from unidrive_cli.warp.common import Fill
 
 
 @guarded
 def inspect_rig_command(
     rig: str = typer.Argument(
-        ..., metavar="RIG_OR_DATASET", help="A rig file, a shipped rig's name, or a dataset folder."
+        ..., metavar="RIG_OR_DATASET", help="A rig file, a shipped rig's name, a dataset folder, or a fleet file."
     ),
+    against: list[str] = option(
+        [],
+        "--against",
+        help="A real rig or dataset: how much of each camera it fills (repeatable).",
+        show_default=False,
+    ),
+    depth_limit: float | None = DEPTH_LIMIT,
+    ground_height: float | None = GROUND_HEIGHT,
+    common_sweep: float | None = COMMON_SWEEP,
     version: str | None = VERSION,
     scene: list[str] = SCENES,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
 ) -> None:
-    """Show a rig's cameras, and what they see of the circle round the car."""
-    from unidrive_cli.rig.inspection import inspect_rig
-    from unidrive_cli.tables.rig_of_dataset import resolve_rig
-    from unidrive_cli.warp.pictures import size_of_file
+    """Show a rig's cameras, and what they see of the circle round the car.
 
-    found, notes = resolve_rig(rig, version, tuple(scene), size_of_file)
+    Of a fleet: the virtual rig, how much of each virtual camera each car fills, and what they have in common.
+    """
+    from unidrive_cli.rig.inspection import inspect_rig
+    from unidrive_cli.tables.rig_of_dataset import resolve_fleet, resolve_rig
+    from unidrive_cli.warp.common import DEFAULT_SWEEP_M, fill
+    from unidrive_cli.warp.pictures import size_of_file
+    from unidrive_cli.warp.remap import virtual_views
+
+    if version or scene:
+        found, notes = resolve_rig(rig, version, tuple(scene), size_of_file)
+        rigs: list[Rig] = []
+    else:
+        fleet, notes = resolve_fleet(rig, size_of_file)
+        found, rigs = fleet.virtual, list(fleet.sources)
+    for name in against:
+        real, more = resolve_rig(name, size_of_file=size_of_file)
+        rigs.append(real)
+        notes.extend(more)
     facts = inspect_rig(found)
+    shares: Fill | None = None
+    if rigs:
+        choices = warp_choices(found, depth_limit, ground_height, "angular", True)
+        views = virtual_views(found, choices.depth_limit_m, choices.ground_height_m)
+        shares = fill(views, rigs, DEFAULT_SWEEP_M if common_sweep is None else common_sweep)
     if as_json:
-        typer.echo(json.dumps({**asdict(facts), "notes": notes}))
+        filled = {} if shares is None else {"filled": _fill_document(found, rigs, shares)}
+        typer.echo(json.dumps({**asdict(facts), **filled, "notes": notes}))
         return
     _say(facts)
+    if shares:
+        _say_fill(found, rigs, shares)
     for note in notes:
         typer.echo(f"note: {note}")
+
+
+def _fill_document(virtual: Rig, rigs: Sequence[Rig], shares: Fill) -> dict[str, Any]:
+    by_camera = {
+        channel: {"by_rig": list(row), "common": common}
+        for channel, row, common in zip(virtual.channels, shares.by_rig, shares.common, strict=True)
+    }
+    return {"rigs": [rig.name for rig in rigs], "common_sweep_m": shares.sweep_m, "by_camera": by_camera}
+
+
+def _say_fill(virtual: Rig, rigs: Sequence[Rig], shares: Fill) -> None:
+    typer.echo("\nhow much of each virtual picture is filled, by the cameras at their places")
+    header = ("channel", *(rig.name for rig in rigs), "common")
+    rows = [
+        (channel, *(f"{share:.1%}" for share in row), f"{common:.1%}")
+        for channel, row, common in zip(virtual.channels, shares.by_rig, shares.common, strict=True)
+    ]
+    say_table(header, rows, left=1)
+    typer.echo(
+        f"common: by all of them, wherever a camera stood within the last {shares.sweep_m:g} m before the moment"
+    )
 
 
 def _say(facts: RigFacts) -> None:

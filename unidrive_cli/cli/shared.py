@@ -118,7 +118,15 @@ JSON = option(False, "--json", help="Print one JSON object instead of text.")
 VERSION = option(None, "--version", help="Version folder, where the dataset has several.", show_default=False)
 SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
 CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
-RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, or a dataset folder."
+RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, a dataset folder, or a fleet file."
+COMMON_WITH = option(
+    [], "--common-with", help="Blacken what this rig or dataset cannot fill (repeatable).", show_default=False
+)
+COMMON_SWEEP = option(
+    None,
+    "--common-sweep",
+    help="How far a car drives, at most, between a camera's moment and the sample's, in metres (default: 1).",
+)
 DEPTH_LIMIT = option(
     None, "--depth-limit", help="D0: distance in metres of what is not ground (default: the rig's, or 50)."
 )

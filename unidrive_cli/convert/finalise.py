@@ -28,6 +28,7 @@ from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.table import write_rows
+from unidrive_cli.warp.common import blanks_of
 from unidrive_cli.warp.pictures import encode_mask, size_of_file
 from unidrive_cli.warp.remap import Source, build_patches, coverage, virtual_views
 
@@ -193,8 +194,11 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
     rig, _ = rig_of_dataset(plan.dataset, options.scenes, size_of_file)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
-    for view in virtual_views(plan.rig, options.depth_limit_m, options.ground_height_m):
+    views = virtual_views(plan.rig, options.depth_limit_m, options.ground_height_m)
+    for view, blanks in zip(views, blanks_of(plan.common_masks, len(views)), strict=True):
         mask = coverage(view, build_patches(view, sources, options.blend))
+        if blanks:
+            blanks.cover(mask)
         destination.write(camera_mask_name(view.camera.channel), encode_mask(mask))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from unidrive_cli import __version__
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
+from unidrive_cli.convert.common import Common, with_own_rig
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.units import SKIP_HINT, Frame
@@ -31,6 +32,7 @@ from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
+from unidrive_cli.warp.common import CommonMasks, common_masks
 from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
@@ -82,6 +84,7 @@ class Plan:
         dataset, rig, options: what it was made from.
         toolchain: kernel and codec.
         units: one per sample, by scene and time.
+        common: the rigs that must fill what is shown; None where none are named.
         notes: what a user should know, one sentence each.
     """
 
@@ -91,6 +94,19 @@ class Plan:
     toolchain: Toolchain
     units: list[Unit]
     notes: list[str]
+    common: Common | None = None
+
+    @cached_property
+    def common_masks(self) -> CommonMasks | None:
+        """What the rigs of `common` fill; None where none are named.
+
+        Raises:
+            UsageError: nothing is common.
+        """
+        if self.common is None:
+            return None
+        views = virtual_views(self.rig, self.options.depth_limit_m, self.options.ground_height_m)
+        return common_masks(views, self.common.rigs, self.common.sweep_m)
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -101,6 +117,7 @@ class Plan:
             "source": {"version": self.dataset.version, "digest": self.dataset.digest},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity(),
+            **({"common": self.common.identity()} if self.common else {}),
             **self.toolchain.identity,
         }
 
@@ -151,8 +168,11 @@ class Plan:
         return int(pixels * per_pixel) * len(self.units) + masks + tables
 
 
-def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
+def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | None = None) -> Plan:
     """Plans a conversion, and refuses what cannot be converted before anything is written.
+
+    Args:
+        common: a fleet whose common coverage is to be shown; the dataset's own rig joins it, unless it is there.
 
     Raises:
         DatasetError: dangling tokens, broken poses or calibrations, missing pictures, no samples.
@@ -182,8 +202,16 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options) -> Plan:
         raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
     notes.extend(_source_notes(dataset, units, channels, surfaces))
     notes.extend(consumer_notes(rig, dataset))
-    plan = Plan(dataset, rig, options, toolchain, units, notes)
+    if common:
+        common, more = with_own_rig(common, dataset, options)
+        notes.extend(more)
+    plan = Plan(dataset, rig, options, toolchain, units, notes, common)
     _check_cameras(plan)
+    if plan.common_masks:
+        shares = zip(rig.channels, plan.common_masks.shares, strict=True)
+        notes.extend(
+            f"Nothing of {channel} is common: its pictures are black." for channel, share in shares if not share
+        )
     return plan
 
 

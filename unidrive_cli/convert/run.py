@@ -223,7 +223,8 @@ def _run_units(
     failures: list[Failure] = []
     if progress:
         progress(len(receipts), len(units))
-    job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest)
+    common = plan.common_masks if missing else None
+    job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest, common)
     skip = plan.options.on_error == "skip"
     work = functools.partial(_attempt, job, plan.dataset.folder, skip)
     frames = (_frame(plan, unit, skip=skip) for unit in missing)

@@ -39,6 +39,7 @@ def training_notes(plan: Plan) -> str:
     lines += [
         "- Black pixels were seen by no source camera"
         + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
+        *_common(plan),
         f"- Boxes that the virtual rig does not show are {_unseen_boxes(plan.options)}.",
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
         f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
@@ -50,6 +51,18 @@ def training_notes(plan: Plan) -> str:
         )
     lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"
+
+
+def _common(plan: Plan) -> list[str]:
+    if plan.common is None or plan.common_masks is None:
+        return []
+    shares = zip(plan.rig.channels, plan.common_masks.shares, strict=True)
+    names = ", ".join(sorted(rig.name for rig in plan.common.rigs))
+    return [
+        f"- Pictures show only what all of {names} can fill: "
+        + ", ".join(f"{channel} {share:.0%}" for channel, share in shares)
+        + ". Train and test on datasets with this common coverage."
+    ]
 
 
 def _unseen_boxes(options: Options) -> str:

@@ -18,6 +18,7 @@ from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.converted import WORK, mask_name
 from unidrive_cli.tables.destination import RECEIPTS, Destination, begun_identity, digest_of
+from unidrive_cli.warp.common import CommonMasks
 from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer, Toolchain, choose_toolchain, open_renderer
@@ -33,6 +34,7 @@ class Job:
         destination: DST.
         rig, options, toolchain: the plan's.
         key: digest of the plan.
+        common: the pixels that are not blackened; None blackens none.
     """
 
     destination: Destination
@@ -40,6 +42,7 @@ class Job:
     options: Options
     toolchain: Toolchain
     key: str
+    common: CommonMasks | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Job) and self.key == other.key
@@ -178,4 +181,4 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
 @functools.lru_cache(maxsize=1)
 def renderer_of(job: Job) -> Renderer:
     """The job's renderer: one per worker process, because its memory and its tables outlive a unit."""
-    return open_renderer(job.toolchain, job.rig, job.options)
+    return open_renderer(job.toolchain, job.rig, job.options, job.common)

@@ -10,6 +10,7 @@ from pathlib import Path
 from unidrive_cli.errors import DatasetError, GeometryError, RigError, UnidriveError, UsageError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.rig.fleet import Fleet, is_fleet_file, load_fleet
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
@@ -134,6 +135,32 @@ def open_named(folder: Path, version: str | None = None) -> Dataset:
             raise
         hint = f"Name one of them: {folder}/<version folder>."
         raise UsageError(error.what, where=error.where, hint=hint) from error
+
+
+def resolve_fleet(text: str, size_of_file: SizeOfFile | None = None) -> tuple[Fleet, list[str]]:
+    """The fleet that a RIG argument means: a fleet file's, or a virtual rig with no cars named.
+
+    Args:
+        text: a fleet file, or what `resolve_rig` takes.
+        size_of_file: says the size of a dataset's pictures that have none in their table.
+
+    Returns:
+        The fleet, and notes that say what was assumed.
+
+    Raises:
+        RigError, DatasetError, UsageError: as `resolve_rig`, for the rigs of a fleet file too.
+    """
+    path, notes = Path(text), list[str]()
+    if path.suffix not in (".yaml", ".yml") or not path.is_file() or not is_fleet_file(path):
+        rig, notes = resolve_rig(text, size_of_file=size_of_file)
+        return Fleet(rig.name, rig, (), common=False), notes
+
+    def rig_named(name: str) -> Rig:
+        rig, more = resolve_rig(name, size_of_file=size_of_file)
+        notes.extend(more)
+        return rig
+
+    return load_fleet(path, rig_named), notes
 
 
 def resolve_rig(

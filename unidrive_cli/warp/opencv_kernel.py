@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.common import CommonMasks, blanks_of
 from unidrive_cli.warp.pictures import Picture, encode_jpeg, read_picture
 from unidrive_cli.warp.remap import (
     Mask,
@@ -38,13 +39,17 @@ class OpenCVRenderer:
     between the cameras (or with the motion left out) share them.
     """
 
-    def __init__(self, rig: Rig, choices: WarpChoices) -> None:
+    def __init__(self, rig: Rig, choices: WarpChoices, common: CommonMasks | None = None) -> None:
         """
+        Args:
+            common: blackens what is not common.
+
         Raises:
             RigError: a virtual camera below the ground, or a depth limit below its height.
         """
         self.views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
         self._blend = choices.blend
+        self._blanks = blanks_of(common, len(self.views))
         self._tables: tuple[object, list[ViewTables]] | None = None
 
     def render(
@@ -55,8 +60,12 @@ class OpenCVRenderer:
             read_picture(path, (source.lens.width_px, source.lens.height_px), hint)
             for path, source in zip(paths, sources, strict=True)
         ]
-        for view in self.tables(sources):
-            yield VirtualPicture(encode_jpeg(view.render(pictures), quality), view.mask)
+        for tables, blanks in zip(self.tables(sources), self._blanks, strict=True):
+            picture = tables.render(pictures)
+            if blanks:
+                blanks.cover(tables.mask)
+                blanks.blank(picture)
+            yield VirtualPicture(encode_jpeg(picture, quality), tables.mask)
 
     def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
         """The remap tables of all virtual cameras for these sources."""

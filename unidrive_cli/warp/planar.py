@@ -17,6 +17,7 @@ from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Pinhole
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.common import CommonMasks, blanks_of
 from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
 from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
 from unidrive_cli.warp.render import VirtualPicture
@@ -29,16 +30,18 @@ Sizes = tuple[tuple[int, int], ...]
 class PlanarRenderer:
     """Renders with the fused kernel; its memory does not depend on the number of frames."""
 
-    def __init__(self, rig: Rig, choices: WarpChoices, codec: str) -> None:
+    def __init__(self, rig: Rig, choices: WarpChoices, codec: str, common: CommonMasks | None = None) -> None:
         """
         Args:
             codec: `libturbojpeg` or `simplejpeg`.
+            common: blackens what is not common.
 
         Raises:
             RigError: a virtual camera below the ground, or a depth limit below its height.
         """
         views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
         self._canvases = [Canvas(view) for view in views]
+        self._blanks = blanks_of(common, len(views))
         self._nearest = choices.blend == "nearest"
         self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
         self._atlas: Atlas | None = None
@@ -53,8 +56,11 @@ class PlanarRenderer:
         with hinting(hint):
             for index, path in enumerate(paths):
                 self._atlas.load(index, path, self._turbo)
-        for canvas in self._canvases:
+        for canvas, blanks in zip(self._canvases, self._blanks, strict=True):
             canvas.draw(self._atlas, sources, nearest=self._nearest)
+            if blanks:
+                blanks.cover(canvas.mask)
+                blanks.blank_planes(canvas.planes)
             yield VirtualPicture(self._encode(canvas.planes, quality), canvas.mask)
 
     def _encode(self, planes: Planes, quality: int) -> bytes:

@@ -206,7 +206,7 @@ def dominant_sources(view: VirtualView, patches: Sequence[Patch]) -> npt.NDArray
 
 
 def _project_patch(view: VirtualView, source: Source, index: int) -> Patch | None:
-    box = _candidate_box(view, source)
+    box = candidate_box(view, source)
     if box is None:
         return None
     exact, valid = source.lens.project(view.points(source.cam_from_ego, *box))
@@ -215,7 +215,7 @@ def _project_patch(view: VirtualView, source: Source, index: int) -> Patch | Non
     return _cropped(Patch(index, box, pixels, valid, valid.astype(np.float32)))
 
 
-def _candidate_box(view: VirtualView, source: Source) -> tuple[slice, slice] | None:
+def candidate_box(view: VirtualView, source: Source) -> tuple[slice, slice] | None:
     """A box that holds every pixel the source can see, from a coarse grid of the view.
 
     Nodes are some 0.8 degrees apart; a node within 6 degrees of the source's field counts, so a

@@ -17,6 +17,7 @@ from unidrive_cli.errors import UsageError
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import turbojpeg
 from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
+from unidrive_cli.warp.common import CommonMasks
 from unidrive_cli.warp.remap import Mask, Source
 
 
@@ -123,8 +124,13 @@ def prepare(toolchain: Toolchain) -> None:
         fused.warm_up()
 
 
-def open_renderer(toolchain: Toolchain, rig: Rig, choices: WarpChoices) -> Renderer:
+def open_renderer(
+    toolchain: Toolchain, rig: Rig, choices: WarpChoices, common: CommonMasks | None = None
+) -> Renderer:
     """The renderer of a virtual rig.
+
+    Args:
+        common: blackens what is not common.
 
     Raises:
         RigError: a virtual camera below the ground, or a depth limit below its height.
@@ -132,7 +138,7 @@ def open_renderer(toolchain: Toolchain, rig: Rig, choices: WarpChoices) -> Rende
     if toolchain.kernel == "opencv":
         from unidrive_cli.warp.opencv_kernel import OpenCVRenderer
 
-        return OpenCVRenderer(rig, choices)
+        return OpenCVRenderer(rig, choices, common)
     from unidrive_cli.warp.planar import PlanarRenderer
 
-    return PlanarRenderer(rig, choices, toolchain.codec)
+    return PlanarRenderer(rig, choices, toolchain.codec, common)
