@@ -369,7 +369,8 @@ def inverted(table: np.ndarray, pixel: np.ndarray, start: np.ndarray) -> np.ndar
         step = np.linalg.solve(np.stack([by_row, by_column], axis=-1), pixel - value)
         at = at + step
         if np.abs(step).max() < 1e-6:
-            return at
+            within = ((at > (row - 0.01, column - 0.01)) & (at < (row + 1.01, column + 1.01))).all()
+            return at if within else None
     return None
 
 
