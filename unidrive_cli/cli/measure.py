@@ -82,7 +82,7 @@ def measure_command(
     from unidrive_cli.measure.projection import measure_projection
     from unidrive_cli.measure.truth import measure_converted, measure_rendered
     from unidrive_cli.tables.dataset import open_dataset
-    from unidrive_cli.tables.rig_of_dataset import open_named, resolve_rig
+    from unidrive_cli.tables.rig_of_dataset import open_named, resolve_fleet
     from unidrive_cli.warp.pictures import size_of_file
 
     if truth is not None and len(datasets) > 1:
@@ -113,7 +113,8 @@ def measure_command(
                 progress=progress,
             )
     if rig is not None:
-        virtual_rig, notes = resolve_rig(rig, size_of_file=size_of_file)
+        fleet, notes = resolve_fleet(rig, size_of_file)
+        virtual_rig = fleet.virtual
         choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)
         alone = len(datasets) == 1
         opened = [open_dataset(one, version) if alone else open_named(one, version) for one in datasets]
@@ -188,18 +189,17 @@ def _tell(
 
 
 def _say_projection(report: ProjectionReport) -> None:
-    found = report.overall
-    share = found.uncovered
+    found, share = report.overall, report.overall.uncovered
     typer.echo(
-        f"{plural(report.samples, 'sample')}, {plural(report.boxes, 'annotation')}, "
-        f"{report.rig.name} with a depth limit of {report.choices.depth_limit_m:g} m; errors in metre-radians"
+        f"{plural(report.samples, 'sample')}, {plural(report.boxes, 'annotation')}; {report.rig.name}, depth limit "
+        f"{report.choices.depth_limit_m:g} m; errors in metre-radians, {found.pairs.sum:,.1f} in all"
     )
-    if share is not None and share.of:
+    if share is not None:
         typer.echo(
-            f"a source sees {plural(share.of, 'corner')}; no virtual camera sees {share.count:,} of them "
-            f"({share.count / share.of:.1%}); {found.behind:,} pairs end up behind the virtual camera"
+            f"{plural(share.of, 'corner')} seen by a source, {share.count:,} of those "
+            f"({share.count / share.of:.1%}) by no virtual camera; {plural(found.behind or 0, 'pair')} behind it"
         )
-    header = ("", "pairs", "sum", "mean", "median", "p90", "blended", "mean", "median", "p90")
+    header = ("", "pairs", "mean", "median", "p90", "blended", "mean", "median", "p90")
     say_table(header, list(_projection_rows(report)), left=1)
 
 
@@ -220,7 +220,7 @@ def _projection_rows(report: ProjectionReport) -> Iterator[tuple[str, ...]]:
     yield _errors_row("all", report.overall)
     for title, group in groups:
         if group:
-            yield (title, *[""] * 9)
+            yield (title, *[""] * 8)
         yield from (_errors_row(f"  {name}", errors) for name, errors in group.items())
 
 
@@ -228,7 +228,7 @@ def _errors_row(name: str, errors: Errors) -> tuple[str, ...]:
     if len(name) > _NAME_WIDTH:
         name = "  ..." + name[5 - _NAME_WIDTH :]
     pairs = errors.pairs
-    return name, f"{pairs.count:,}", f"{pairs.sum:,.1f}", *_spread(pairs), *_blended(errors.blended)
+    return name, f"{pairs.count:,}", *_spread(pairs), *_blended(errors.blended)
 
 
 def _blended(spread: Spread | None) -> tuple[str, ...]:

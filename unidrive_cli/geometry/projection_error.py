@@ -114,15 +114,15 @@ def point_errors(
     parts: list[tuple[Indices, Indices, Float, Float]] = []
     behind = 0
     for index, sighting in enumerate(sightings):
-        if not half_ball.contains(sighting.centre_ego).all():
+        shown = np.flatnonzero(in_view[sighting.points])
+        point = sighting.points[shown]
+        source_ego = sighting.stand(point)[1]
+        if not half_ball.contains(source_ego).all():
             raise GeometryError(
                 f"source {index} stands outside of the virtual camera's half-ball (radius {half_ball.radius_m:g} m)."
             )
-        shown = np.flatnonzero(in_view[sighting.points])
-        point = sighting.points[shown]
         seen_by_source[point] = True
-        rays = sighting.directions_ego[shown]
-        scene_points = half_ball.surface_points(sighting.stand(point)[1], rays)
+        scene_points = half_ball.surface_points(source_ego, sighting.directions_ego[shown])
         warped = transform(cam_from_ego, scene_points)
         ahead = warped[:, 2] > 0
         if not ahead.all():

@@ -13,12 +13,12 @@ from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.boxes import corners
 from unidrive_cli.geometry.lenses import Lens
-from unidrive_cli.geometry.poses import rotations_from_quaternions
+from unidrive_cli.geometry.poses import inverse, rotations_from_quaternions
 from unidrive_cli.geometry.projection_error import Indices, Sighting, sight
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
-from unidrive_cli.tables.rig_of_dataset import SizeOfFile, picture_size_of
-from unidrive_cli.tables.schema import Sample
+from unidrive_cli.tables.moments import cameras_of, reference_of, seen_from
+from unidrive_cli.tables.rig_of_dataset import SizeOfFile, lens_and_pose, picture_size_of
+from unidrive_cli.tables.schema import Sample, SampleData
 
 CORNERS = 8
 MOST_SAMPLES = 64
@@ -87,6 +87,7 @@ class BoxCorners:
         self._channels = set(dataset.camera_channels(cameras))
         self._ego_motion = ego_motion
         self._size_of_file = size_of_file
+        self._calibrated: dict[tuple[str, tuple[int, int]], tuple[Lens, Float]] = {}
         boxes = dataset.sample_annotation
         self._translations, self._rotations, self._sizes = (
             boxes.numbers(field) for field in ("translation", "rotation", "size")
@@ -123,9 +124,19 @@ class BoxCorners:
         for channel, row in cameras_of(dataset, sample, reference).items():
             if channel in self._channels:
                 size = picture_size_of(dataset, row, self._size_of_file)
-                camera = lens_and_cam_from_ego(dataset, row, size, global_from_ego, ego_motion=self._ego_motion)
-                cameras.append((channel, *camera))
+                lens, cam_from_ego = self._camera(row, size)
+                if self._ego_motion:
+                    cam_from_ego = seen_from(dataset, row, cam_from_ego, global_from_ego)
+                cameras.append((channel, lens, cam_from_ego))
         return _Described(sample.token, global_from_ego, dataset.annotation_indices(sample.token), cameras)
+
+    def _camera(self, row: SampleData, size_px: tuple[int, int]) -> tuple[Lens, Float]:
+        """Lens, and `cam_from_ego` (4, 4) at the picture's own moment: the same for many pictures."""
+        key = row.calibrated_sensor_token, size_px
+        if key not in self._calibrated:
+            lens, ego_from_cam = lens_and_pose(self._dataset, row, size_px)
+            self._calibrated[key] = lens, inverse(ego_from_cam)
+        return self._calibrated[key]
 
     def _corners(self, run: Sequence[_Described]) -> Corners:
         boxes = np.concatenate([one.boxes for one in run])

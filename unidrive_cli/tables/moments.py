@@ -66,6 +66,14 @@ def lens_and_cam_from_ego(
     """
     lens, ego_from_cam = lens_and_pose(dataset, row, size_px)
     cam_from_ego = inverse(ego_from_cam)
-    if ego_motion:
-        cam_from_ego = cam_from_ego @ relative(dataset.global_from_ego(row), global_from_ego)
-    return lens, cam_from_ego
+    return lens, seen_from(dataset, row, cam_from_ego, global_from_ego) if ego_motion else cam_from_ego
+
+
+def seen_from(dataset: Dataset, row: SampleData, cam_from_own_ego: Float, global_from_ego: Float) -> Float:
+    """`cam_from_ego` (4, 4) from the ego frame of another moment into the camera, of that at the picture's own.
+
+    Raises:
+        DatasetError: the picture's ego pose is none.
+    """
+    moved: Float = cam_from_own_ego @ relative(dataset.global_from_ego(row), global_from_ego)
+    return moved
