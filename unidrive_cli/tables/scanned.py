@@ -7,12 +7,15 @@ import hashlib
 import os
 import types
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints, overload
+from threading import Thread
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints, overload
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool, Float
@@ -23,6 +26,7 @@ R = TypeVar("R", bound=Row)
 SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
+_HASHED_BYTES = 32 << 20
 _PIECE_ROWS = 1 << 14
 _FOLDER = """
 case when strlen(filename) <= 255 and filename[1] not in ('/', '.') and not contains(filename, '..')
@@ -61,7 +65,13 @@ def scan_tables(folder: Path, names: Sequence[str]) -> dict[str, ScannedTable[An
                     found[name] = ScannedTable[Any](store, name, file)
             except _Odd:
                 continue
+    Thread(target=_hash, args=([files[name].result() for name in found],), daemon=True).start()
     return found
+
+
+def _hash(files: Sequence[_File]) -> None:
+    for file in files:
+        file.hash()
 
 
 class ScannedTable(Table[R]):
@@ -74,20 +84,27 @@ class ScannedTable(Table[R]):
     def __init__(self, store: _Store, name: str, file: _File) -> None:
         self.name = name
         self.file = file.path
-        self.digest = file.digest
         self.size_bytes = file.size_bytes
         self._store = store
         self._file = file
         self._decode: Callable[[bytes], Any] = msgspec.json.Decoder(TABLES[name]).decode
         self._links: dict[tuple[str, str], Indices] = {}
         self._expected: dict[str, int] = {}
+        self._to_expect: list[str] = []
         self.rows: Sequence[R] = _Sequence(file.row_count, self.rows_at)
         self.raw: Sequence[RawRow] = _Sequence(file.row_count, self.raw_at)
+
+    @cached_property
+    def digest(self) -> str:  # type: ignore[override]  # waited for where it is asked for
+        return self._file.digest
 
     def find(self, tokens: Sequence[str]) -> Indices:
         return self._store.find(tokens, self.name)
 
     def get(self, token: str, wanted_by: str) -> R:
+        if self._to_expect:
+            tokens, self._to_expect = self._to_expect, []
+            self._expected.update(zip(tokens, self.find(tokens).tolist(), strict=True))
         index = self._expected.get(token, NOWHERE)
         if index < 0:
             index = int(self.find([token])[0])
@@ -96,13 +113,16 @@ class ScannedTable(Table[R]):
         return self.rows[index]
 
     def expect(self, tokens: Sequence[str]) -> None:
-        self._expected.update(zip(tokens, self.find(tokens).tolist(), strict=True))
+        self._to_expect.extend(tokens)
 
     def links(self, field: str, target: Table[Any]) -> Indices:
         key = (field, target.name)
         if key not in self._links:
             self._links[key] = self._store.links(self.name, field, _relation(target))
         return self._links[key]
+
+    def unlinked(self, field: str, target: Table[Any], *, empty: bool) -> Indices:
+        return self._store.unlinked(self.name, field, _relation(target), empty=empty)
 
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         return self._store.rows_with_dangling(self.name, field, _relation(target))
@@ -165,7 +185,6 @@ class _File:
 
     Attributes:
         path: the file.
-        digest: SHA-256 (hex) of it.
         size_bytes: its size.
         row_count: how many rows it can have; -1 where that is not to be told from its braces.
     """
@@ -174,21 +193,41 @@ class _File:
         self.path = str(path)
         self._stream = path.open("rb", buffering=0)
         self._state = self._state_now()
-        digest = hashlib.sha256()
+        self._digest: Future[str] = Future()
         begins, ends = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         at = 0
         buffer = bytearray(_PIECE_BYTES)
         while size := self._stream.readinto(buffer):
             piece = memoryview(buffer)[:size]
-            digest.update(piece)
             codes = np.frombuffer(piece, dtype=np.uint8)
             begins.append(np.flatnonzero(codes == ord("{")) + at)
             ends.append(np.flatnonzero(codes == ord("}")) + at + 1)
             at += size
         self.size_bytes = at
-        self.digest = digest.hexdigest()
         self._begins, self._ends = np.concatenate(begins), np.concatenate(ends)
         self.row_count = len(self._begins) if len(self._begins) == len(self._ends) else -1
+
+    def hash(self) -> None:
+        """Makes the digest, or what is raised for it."""
+        try:
+            digest = hashlib.sha256()
+            for begin in range(0, self.size_bytes, _HASHED_BYTES):
+                digest.update(self._read(begin, min(begin + _HASHED_BYTES, self.size_bytes)))
+            self._digest.set_result(digest.hexdigest())
+        except Exception as error:
+            self._digest.set_exception(error)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the file; waits for `hash`.
+
+        Raises:
+            DatasetError: the file is not as it was, or cannot be read.
+        """
+        try:
+            return self._digest.result()
+        except OSError as error:
+            raise DatasetError(f"cannot be read: {error.strerror}.", where=self.path) from error
 
     def texts(self, indices: Indices) -> Iterator[bytes]:
         """The text of some rows; neighbours are read together.
@@ -235,6 +274,7 @@ class _Store:
         self._database = duckdb.connect(
             config={"autoinstall_known_extensions": False, "autoload_known_extensions": False, "temp_directory": ""}
         )
+        self._tokens: dict[str, _Tokens] = {}
 
     def load(self, path: Path, name: str) -> int:
         """Loads a table's columns; returns the number of its rows.
@@ -251,59 +291,64 @@ class _Store:
                 f"columns = {read})",
                 [glob.escape(str(path))],
             )
-            sums = f"count(*), count(distinct token), count(*) filter (is_whole) from {name}"
-            count, distinct, whole = connection.execute(f"select {sums}").fetchall()[0]
+            sums = f"count(*), count(token), count(*) filter (is_whole) from {name}"
+            count, named, whole = connection.execute(f"select {sums}").fetchall()[0]
         except self._error as error:
             raise _Odd from error
-        if not count == distinct == whole:
+        if not count == named == whole:
+            raise _Odd
+        self._tokens[name] = tokens = _Tokens(self._hashes(f"select token from {name}").values)
+        if not tokens.are_unique():
             raise _Odd
         return int(count)
 
     def find(self, tokens: Sequence[str], target: str) -> Indices:
         """Where rows of a loaded table stand, by token."""
-        wanted = "(select case when token <> '' then hash(token) end as link, position from given)"
-        known, _ = _known(target)
-        return self._joined(wanted, known, _numbered(tokens))
+        return self._tokens[target].places(self._hashed(tokens))
 
     def links(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """Where the rows stand to which the rows of a loaded table point: in another, or in a list of tokens."""
-        return self._joined(f"(select {field} as link, rowid as position from {name})", *_known(target))
+        return self._known(target).places(self._hashes(f"select {field} from {name}"))
+
+    def unlinked(self, name: str, field: str, target: str | Sequence[str], *, empty: bool) -> Indices:
+        """The rows of which the field's token is not in the other table, or list; and those without a token."""
+        links = self._hashes(f"select {field} from {name}")
+        return np.flatnonzero(self._known(target).are_missing(links) | (links.are_empty & empty))
 
     def rows_with_dangling(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """The rows of which a list holds a token that the other table, or list, does not have."""
-        known, given = _known(target)
-        return self._indices(
-            f"select distinct position from (select unnest({field}) as link, rowid as position from {name}) "
-            f"anti join {known} on link = token order by position",
-            given,
-        )
+        lists = self._fetch(f"select len({field}) as size from {name}")["size"].astype(np.int64)
+        tokens = self._hashes(f"select unnest({field}) from {name}")
+        owners = np.repeat(np.arange(len(lists)), lists)
+        rows: Indices = np.unique(owners[self._known(target).are_missing(tokens)])
+        return rows
 
     def columns(self, name: str, fields: Sequence[str]) -> Float:
         """(n, k) float64 columns of a loaded table."""
-        found = self._fetch(f"select {', '.join(fields)} from {name}", {})
+        found = self._fetch(f"select {', '.join(fields)} from {name}")
         return np.stack([np.asarray(found[field], dtype=np.float64) for field in fields], axis=1)
 
     def folders(self, name: str) -> tuple[list[str], Indices]:
         """The folders of plain file names ('' for all others), and the number of each row's folder."""
-        found = self._fetch(f"select distinct folder from {name} order by folder", {})["folder"].tolist()
-        folders = f"(select folder as link, rowid as position from {name})"
-        codes = self._joined(folders, "(select token, position as place from given)", _numbered(found))
-        return found, codes
+        found: list[str] = self._fetch(f"select distinct folder from {name} order by folder")["folder"].tolist()
+        codes = self._hashes(f"select hash(folder) from {name}")
+        return found, _Tokens(self._hashed(found, empty="hash('')").values).places(codes)
 
-    def _joined(self, wanted: str, known: str, given: dict[str, Any]) -> Indices:
-        return self._indices(
-            f"select coalesce(place, case when link is null then {EMPTY} else {NOWHERE} end) as place "
-            f"from {wanted} left join {known} on link = token order by position",
-            given,
-        )
+    def _known(self, target: str | Sequence[str]) -> _Tokens:
+        return self._tokens[target] if isinstance(target, str) else _Tokens(self._hashed(target).values)
 
-    def _indices(self, query: str, given: dict[str, Any]) -> Indices:
+    def _hashed(self, texts: Sequence[str], empty: str = "null") -> _Hashes:
+        given = {"text": np.array(texts, dtype=object), "position": np.arange(len(texts))}
+        query = f"select case when text = '' then {empty} else hash(text) end from given order by position"
+        return self._hashes(query, given)
+
+    def _hashes(self, query: str, given: dict[str, Any] | None = None) -> _Hashes:
         """The one column that a query selects."""
         (column,) = self._fetch(query, given).values()
-        indices: Indices = column.astype(np.int64)
-        return indices
+        values = np.asarray(column, dtype=np.uint64)
+        return _Hashes(values, np.broadcast_to(getattr(column, "mask", False), values.shape))
 
-    def _fetch(self, query: str, given: dict[str, Any]) -> dict[str, Any]:
+    def _fetch(self, query: str, given: dict[str, Any] | None = None) -> dict[str, Any]:
         connection = self._database.cursor()
         if given:
             connection.register("given", given)
@@ -311,21 +356,57 @@ class _Store:
         return fetched
 
 
+class _Hashes(NamedTuple):
+    """Hashed tokens: (n,) uint64, and (n,) bool where there is none."""
+
+    values: npt.NDArray[np.uint64]
+    are_empty: Bool
+
+
+class _Tokens:
+    """The hashed tokens of a table, to look others up in."""
+
+    def __init__(self, hashes: npt.NDArray[np.uint64]) -> None:
+        self._hashes = hashes
+        self._ascending = np.sort(hashes)
+
+    def are_unique(self) -> bool:
+        return bool((self._ascending[1:] != self._ascending[:-1]).all())
+
+    def are_missing(self, wanted: _Hashes) -> Bool:
+        """(n,) where a token is wanted that is not here."""
+        asked = np.sort(wanted.values[~wanted.are_empty])  # neighbouring questions have neighbouring answers
+        missing = asked[~self._are_at(np.searchsorted(self._ascending, asked), asked)]
+        if not len(missing):
+            return np.zeros(len(wanted.values), dtype=bool)
+        return np.isin(wanted.values, missing) & ~wanted.are_empty
+
+    def places(self, wanted: _Hashes) -> Indices:
+        """(n,) where the wanted tokens stand, EMPTY or NOWHERE."""
+        order = np.argsort(wanted.values)
+        asked = wanted.values[order]
+        found = np.searchsorted(self._ascending, asked)
+        there = self._are_at(found, asked)
+        places = np.full(len(asked), NOWHERE)
+        places[order[there]] = self._order[found[there]]
+        places[wanted.are_empty] = EMPTY
+        return places
+
+    @cached_property
+    def _order(self) -> Indices:
+        return np.argsort(self._hashes)
+
+    def _are_at(self, places: Indices, asked: npt.NDArray[np.uint64]) -> Bool:
+        if not len(self._ascending):
+            return np.zeros(len(asked), dtype=bool)
+        are_at: Bool = self._ascending[np.minimum(places, len(self._ascending) - 1)] == asked
+        return are_at
+
+
 def _relation(target: Table[Any]) -> str | list[str]:
     if isinstance(target, ListedTable):
         return list(target.by_token)
     return target.name
-
-
-def _known(target: str | Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """A relation of hashed tokens and their places, and what it is made from."""
-    if isinstance(target, str):
-        return f"(select token, rowid as place from {target})", {}
-    return "(select hash(token) as token, position as place from given)", _numbered(target)
-
-
-def _numbered(texts: Sequence[str]) -> dict[str, Any]:
-    return {"token": np.array(texts, dtype=object), "position": np.arange(len(texts))}
 
 
 def _columns(row_type: type[Row]) -> tuple[str, list[str], list[str]]:

@@ -77,6 +77,11 @@ class Table(ABC, Generic[R]):
     def links(self, field: str, target: Table[Any]) -> Indices:
         """`target.find` for a field of all rows; a missing optional token counts as empty."""
 
+    def unlinked(self, field: str, target: Table[Any], *, empty: bool) -> Indices:
+        """The rows whose token `target` does not have; with `empty`, those too whose token is empty."""
+        links = self.links(field, target)
+        return np.flatnonzero(links < 0 if empty else links == NOWHERE)
+
     @abstractmethod
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         """The rows whose list of tokens holds one that `target` does not have."""
