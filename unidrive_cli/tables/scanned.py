@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
@@ -20,14 +20,30 @@ import numpy.typing as npt
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.schema import TABLES, Row
-from unidrive_cli.tables.table import EMPTY, NOWHERE, Indices, ListedTable, RawRow, Table, bad_row
+from unidrive_cli.tables.table import (
+    EMPTY,
+    NOWHERE,
+    SEPARATOR,
+    Indices,
+    ListedTable,
+    RawRow,
+    RawRows,
+    Run,
+    Table,
+    bad_row,
+    changed,
+)
 
 R = TypeVar("R", bound=Row)
+P = TypeVar("P", bound=Row)
+T = TypeVar("T")
 SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
 _HASHED_BYTES = 32 << 20
 _PIECE_ROWS = 1 << 14
+_MANY = 1 << 17
+"""So many tokens are looked up in order, so that neighbouring questions have neighbouring answers."""
 _FOLDER = """
 case when strlen(filename) <= 255 and filename[1] not in ('/', '.') and not contains(filename, '..')
 and not contains(filename, '/.') and not contains(filename, '//') and not contains(filename, chr(92))
@@ -124,6 +140,9 @@ class ScannedTable(Table[R]):
     def unlinked(self, field: str, target: Table[Any], *, empty: bool) -> Indices:
         return self._store.unlinked(self.name, field, _relation(target), empty=empty)
 
+    def leading_out(self, field: str, kept: Bool) -> Indices:
+        return self._store.leading_out(self.name, field, kept)
+
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         return self._store.rows_with_dangling(self.name, field, _relation(target))
 
@@ -142,7 +161,12 @@ class ScannedTable(Table[R]):
         return np.union1d(rows[one_by_one[codes]], rows[first])
 
     def rows_at(self, indices: Indices) -> Iterator[R]:
-        decode = self._decode
+        return self._decoded(indices, self._decode)
+
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
+        return self._decoded(indices, msgspec.json.Decoder(part).decode)
+
+    def _decoded(self, indices: Indices, decode: Callable[[bytes], T]) -> Iterator[T]:
         for index, text in zip(indices, self.raw_at(indices), strict=True):
             try:
                 yield decode(text)
@@ -151,6 +175,9 @@ class ScannedTable(Table[R]):
 
     def raw_at(self, indices: Indices) -> Iterator[bytes]:
         return self._file.texts(np.asarray(indices))
+
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> RawRows:
+        return self._file.runs(indices, changes)
 
 
 class _Sequence(Sequence[Any]):
@@ -235,6 +262,40 @@ class _File:
         Raises:
             DatasetError: the file is not as it was.
         """
+        for _, data, begins, ends in self._windows(indices):
+            for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+                yield data[begin:end]
+
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> Iterator[Run]:
+        """The rows as they are written, changed fields put in; what stands in the file just so is copied as it is.
+
+        Raises:
+            DatasetError: the file is not as it was.
+        """
+        are_changed = np.zeros(len(self._begins), dtype=bool)
+        are_changed[list(changes)] = True
+        for start, data, begins, ends in self._windows(indices):
+            rows = indices[start : start + len(begins)]
+            alone = are_changed[rows]
+            ends_here, codes = ends[:-1], np.frombuffer(data, dtype=np.uint8)
+            joined = (begins[1:] == ends_here + len(SEPARATOR)) & ~alone[1:] & ~alone[:-1]
+            for place, code in enumerate(SEPARATOR):
+                joined[joined] = codes[ends_here[joined] + place] == code
+            first = np.append(True, ~joined)
+            texts = [
+                changed(data[begin:end], changes[row]) if is_changed else data[begin:end]
+                for row, is_changed, begin, end in zip(
+                    rows[first].tolist(),
+                    alone[first].tolist(),
+                    begins[first].tolist(),
+                    ends[np.append(~joined, True)].tolist(),
+                    strict=True,
+                )
+            ]
+            yield Run(len(rows), SEPARATOR.join(texts))
+
+    def _windows(self, indices: Indices) -> Iterator[tuple[int, bytes, Indices, Indices]]:
+        """Rows that are read together: the place of the first, the bytes, where in them each begins and ends."""
         begins, ends = self._begins[indices], self._ends[indices]
         start = 0
         while start < len(begins):
@@ -245,10 +306,7 @@ class _File:
                 far = np.flatnonzero((window - origin >= _PIECE_BYTES) | (np.diff(window, prepend=origin) < 0))
                 stop = start + (int(far[0]) if len(far) else len(window))
             data = self._read(origin, int(ends[start:stop].max()))
-            for begin, end in zip(
-                (begins[start:stop] - origin).tolist(), (ends[start:stop] - origin).tolist(), strict=True
-            ):
-                yield data[begin:end]
+            yield start, data, begins[start:stop] - origin, ends[start:stop] - origin
             start = stop
 
     def _read(self, begin: int, end: int) -> bytes:
@@ -315,6 +373,12 @@ class _Store:
         links = self._hashes(f"select {field} from {name}")
         return np.flatnonzero(self._known(target).are_missing(links) | (links.are_empty & empty))
 
+    def leading_out(self, name: str, field: str, kept: Bool) -> Indices:
+        """The rows of a loaded table, of some, that point to another row than one of these."""
+        links, inside = self._hashes(f"select {field} from {name}"), np.flatnonzero(kept)
+        tokens = _Tokens(self._tokens[name].hashes[inside])
+        return inside[tokens.are_missing(_Hashes(links.values[inside], links.are_empty[inside]))]
+
     def rows_with_dangling(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """The rows of which a list holds a token that the other table, or list, does not have."""
         lists = self._fetch(f"select len({field}) as size from {name}")["size"].astype(np.int64)
@@ -367,15 +431,18 @@ class _Tokens:
     """The hashed tokens of a table, to look others up in."""
 
     def __init__(self, hashes: npt.NDArray[np.uint64]) -> None:
-        self._hashes = hashes
+        self.hashes = hashes
         self._ascending = np.sort(hashes)
+        self._are_many = len(hashes) > _MANY
 
     def are_unique(self) -> bool:
         return bool((self._ascending[1:] != self._ascending[:-1]).all())
 
     def are_missing(self, wanted: _Hashes) -> Bool:
         """(n,) where a token is wanted that is not here."""
-        asked = np.sort(wanted.values[~wanted.are_empty])  # neighbouring questions have neighbouring answers
+        asked = wanted.values[~wanted.are_empty]
+        if self._are_many:
+            asked.sort()
         missing = asked[~self._are_at(np.searchsorted(self._ascending, asked), asked)]
         if not len(missing):
             return np.zeros(len(wanted.values), dtype=bool)
@@ -383,7 +450,7 @@ class _Tokens:
 
     def places(self, wanted: _Hashes) -> Indices:
         """(n,) where the wanted tokens stand, EMPTY or NOWHERE."""
-        order = np.argsort(wanted.values)
+        order = np.argsort(wanted.values) if self._are_many else np.arange(len(wanted.values))
         asked = wanted.values[order]
         found = np.searchsorted(self._ascending, asked)
         there = self._are_at(found, asked)
@@ -394,7 +461,7 @@ class _Tokens:
 
     @cached_property
     def _order(self) -> Indices:
-        return np.argsort(self._hashes)
+        return np.argsort(self.hashes)
 
     def _are_at(self, places: Indices, asked: npt.NDArray[np.uint64]) -> Bool:
         if not len(self._ascending):
