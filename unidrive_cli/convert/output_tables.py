@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -25,9 +24,7 @@ from unidrive_cli.tables.subset import mended_instances, mended_links, mended_sc
 from unidrive_cli.tables.table import EMPTY, Indices, ListedTable, RawRow, RawRows, Run, Table, are_kept, run_of
 from unidrive_cli.tables.tokens import derived_token
 
-_ENCODE = msgspec.json.Encoder().encode
 _NUMBERS = operator.attrgetter("camera", "annotation", "left", "top", "right", "bottom")
-_NO_CHANGES: Mapping[str, Any] = MappingProxyType({})
 _UNITS_A_RUN = 256
 
 
@@ -121,6 +118,11 @@ class OutputTables:
         self._receipts = receipts
         self._units = [unit for unit in plan.units if unit.sample.token in receipts]
         self._levels = VisibilityLevels(plan.dataset.visibility.rows)
+        self._pictures = [
+            [self._token("sample_data", unit.sample.token, channel) for channel in plan.rig.channels]
+            for unit in self._units
+        ]
+        """sample_data tokens of each unit's virtual pictures, in the rig's order; their poses have the same."""
         self.counts = Counts(samples=len(self._units))
 
     @cached_property
@@ -239,7 +241,7 @@ class OutputTables:
                 camera_intrinsic=camera.lens.matrix.tolist(),
             )
 
-    def _ego_poses(self) -> Iterator[RawRow | Run]:
+    def _ego_poses(self) -> RawRows:
         """Poses that a row which stays uses, or that none ever used; then one per virtual picture."""
         dataset, table = self._dataset, self._dataset.ego_pose
         poses = dataset.sample_data.links("ego_pose_token", table)
@@ -249,10 +251,11 @@ class OutputTables:
         yield from table.runs(np.flatnonzero(stays), {})
         places = table.find([unit.reference.ego_pose_token for unit in self._units])
         for unit, pictures, pose in zip(self._units, self._pictures, table.rows_at(places), strict=True):
-            for token in pictures:
-                yield _ENCODE(_PoseRow(token, unit.reference.timestamp, pose.rotation, pose.translation))
+            yield run_of(
+                [_PoseRow(token, unit.reference.timestamp, pose.rotation, pose.translation) for token in pictures]
+            )
 
-    def _sample_data(self) -> Iterator[RawRow | Run]:
+    def _sample_data(self) -> RawRows:
         yield from self._linked_rows(self._dataset.sample_data, self.kept_sample_data)
         by_scene: dict[str, list[tuple[Unit, list[str]]]] = {}
         for unit, pictures in zip(self._units, self._pictures, strict=True):
@@ -261,12 +264,12 @@ class OutputTables:
             calibration, lens = self._token("calibrated_sensor", "", camera.channel), camera.lens
             for units in by_scene.values():
                 tokens = ["", *(pictures[index] for _, pictures in units), ""]
-                for place, (unit, _) in enumerate(units, start=1):
-                    yield _ENCODE(
+                yield run_of(
+                    [
                         _PictureRow(
-                            tokens[place],
+                            token,
                             unit.sample.token,
-                            tokens[place],
+                            token,
                             calibration,
                             unit.reference.timestamp,
                             "jpg",
@@ -274,16 +277,14 @@ class OutputTables:
                             lens.height_px,
                             lens.width_px,
                             unit.pictures[index],
-                            tokens[place - 1],
-                            tokens[place + 1],
+                            before,
+                            after,
                         )
-                    )
-
-    @cached_property
-    def _pictures(self) -> list[list[str]]:
-        """sample_data tokens of each unit's virtual pictures, in the rig's order; their poses have the same."""
-        channels = self._plan.rig.channels
-        return [[self._token("sample_data", unit.sample.token, name) for name in channels] for unit in self._units]
+                        for (unit, _), before, token, after in zip(
+                            units, tokens, tokens[1:], tokens[2:], strict=False
+                        )
+                    ]
+                )
 
     def _boxes_2d(self) -> Iterator[Run]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
@@ -294,21 +295,22 @@ class OutputTables:
             units = self._units[start : start + _UNITS_A_RUN]
             indices = [dataset.annotation_indices(unit.sample.token) for unit in units]
             annotations = dataset.sample_annotation.parts_at(np.concatenate(indices), _Annotation)
-            rows: list[bytes] = []
+            rows: list[_BoxRow] = []
             for unit, pictures, own in zip(units, self._pictures[start:], indices, strict=False):
                 boxed = list(itertools.islice(annotations, len(own)))
-                rows += self._boxes_of(unit, pictures, own, boxed, instances)
+                self._add_boxes(rows, unit, pictures, own, boxed, instances)
             yield run_of(rows)
 
-    def _boxes_of(
+    def _add_boxes(
         self,
+        rows: list[_BoxRow],
         unit: Unit,
         pictures: list[str],
         indices: Indices,
         annotations: Sequence[_Annotation | SampleAnnotation],
         instances: dict[str, str],
-    ) -> Iterator[bytes]:
-        """Rows of one unit.
+    ) -> None:
+        """Adds those of one unit to the rows.
 
         Args:
             pictures: tokens of its virtual pictures.
@@ -316,26 +318,29 @@ class OutputTables:
             instances: category names by instance token.
         """
         stays, changes = self.kept_annotations[indices].tolist(), self._changed_annotations
-        names = unit.pictures
+        names, places = unit.pictures, indices.tolist()
         for camera, place, left, top, right, bottom in map(_NUMBERS, self._receipts[unit.sample.token].boxes):
             if not stays[place]:
                 continue
             row = annotations[place]
-            mended = changes.get(int(indices[place]), _NO_CHANGES)
-            yield _ENCODE(
+            prev, following, visibility = row.prev, row.next, row.visibility_token
+            if mended := changes.get(places[place]):
+                prev, following = mended.get("prev", prev), mended.get("next", following)
+                visibility = mended.get("visibility_token", visibility)
+            rows.append(
                 _BoxRow(
                     row.attribute_tokens,
                     (left, top, right, bottom),
                     instances[row.instance_token],
                     names[camera],
                     row.instance_token,
-                    mended.get("next", row.next),
+                    following,
                     row.num_lidar_pts,
                     row.num_radar_pts,
-                    mended.get("prev", row.prev),
+                    prev,
                     row.token,
                     pictures[camera],
-                    mended.get("visibility_token", row.visibility_token),
+                    visibility,
                 )
             )
 

@@ -36,7 +36,6 @@ from unidrive_cli.tables.table import (
 
 R = TypeVar("R", bound=Row)
 P = TypeVar("P", bound=Row)
-T = TypeVar("T")
 SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
@@ -103,7 +102,6 @@ class ScannedTable(Table[R]):
         self.size_bytes = file.size_bytes
         self._store = store
         self._file = file
-        self._decode: Callable[[bytes], Any] = msgspec.json.Decoder(TABLES[name]).decode
         self._links: dict[tuple[str, str], Indices] = {}
         self._expected: dict[str, int] = {}
         self._to_expect: list[str] = []
@@ -161,17 +159,29 @@ class ScannedTable(Table[R]):
         return np.union1d(rows[one_by_one[codes]], rows[first])
 
     def rows_at(self, indices: Indices) -> Iterator[R]:
-        return self._decoded(indices, self._decode)
+        return self._decoded(indices, TABLES[self.name])
 
     def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
-        return self._decoded(indices, msgspec.json.Decoder(part).decode)
+        return self._decoded(indices, part)
 
-    def _decoded(self, indices: Indices, decode: Callable[[bytes], T]) -> Iterator[T]:
-        for index, text in zip(indices, self.raw_at(indices), strict=True):
+    def _decoded(self, indices: Indices, row_type: type[Row]) -> Iterator[Any]:
+        decode = msgspec.json.Decoder(list[row_type]).decode  # type: ignore[valid-type]
+        start = 0
+        for run in self._file.runs(indices, {}):
             try:
-                yield decode(text)
+                rows = decode(b"[%b]" % run.text)
+            except (msgspec.DecodeError, RecursionError):
+                self._refuse_bad_row(indices[start : start + run.number], row_type)
+                raise
+            yield from rows
+            start += run.number
+
+    def _refuse_bad_row(self, indices: Indices, row_type: type[Row]) -> None:
+        for index, text in zip(indices.tolist(), self.raw_at(indices), strict=True):
+            try:
+                msgspec.json.decode(text, type=row_type)
             except (msgspec.DecodeError, RecursionError) as error:
-                raise bad_row(text, int(index), self.file, str(error)) from error
+                raise bad_row(text, index, self.file, str(error)) from error
 
     def raw_at(self, indices: Indices) -> Iterator[bytes]:
         return self._file.texts(np.asarray(indices))
@@ -272,11 +282,11 @@ class _File:
         Raises:
             DatasetError: the file is not as it was.
         """
-        are_changed = np.zeros(len(self._begins), dtype=bool)
+        are_changed = np.zeros(len(self._begins) if changes else 0, dtype=bool)
         are_changed[list(changes)] = True
         for start, data, begins, ends in self._windows(indices):
             rows = indices[start : start + len(begins)]
-            alone = are_changed[rows]
+            alone = are_changed[rows] if changes else np.zeros(len(rows), dtype=bool)
             ends_here, codes = ends[:-1], np.frombuffer(data, dtype=np.uint8)
             joined = (begins[1:] == ends_here + len(SEPARATOR)) & ~alone[1:] & ~alone[:-1]
             for place, code in enumerate(SEPARATOR):

@@ -294,9 +294,9 @@ def write_rows(path: Path, rows: RawRows) -> int:
     return count
 
 
-def run_of(texts: Sequence[RawRow]) -> Run:
-    """Rows as they are written."""
-    return Run(len(texts), SEPARATOR.join(texts))
+def run_of(rows: Sequence[msgspec.Struct]) -> Run:
+    """Rows as they are written; no line of JSON text has a line break in it."""
+    return Run(len(rows), msgspec.json.Encoder().encode_lines(rows)[:-1].replace(b"\n", SEPARATOR))
 
 
 def _runs(rows: RawRows) -> Iterator[Run]:
@@ -307,11 +307,11 @@ def _runs(rows: RawRows) -> Iterator[Run]:
             alone.append(row)
             if len(alone) < _ROWS_A_WRITE:
                 continue
-        yield run_of(alone)
+        yield Run(len(alone), SEPARATOR.join(alone))
         alone.clear()
         if isinstance(row, Run):
             yield row
-    yield run_of(alone)
+    yield Run(len(alone), SEPARATOR.join(alone))
 
 
 def are_kept(kept: Bool, links: Indices) -> Bool:
