@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.table import NOWHERE
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,8 @@ def check_references(dataset: Dataset) -> Iterator[Finding]:
     for table_name, field, target_name in REFERENCES + MENDABLE:
         mendable = (table_name, field, target_name) in MENDABLE
         table = getattr(dataset, table_name)
-        links = table.links(field, getattr(dataset, target_name))
-        for row in table.rows_at(np.flatnonzero(links == NOWHERE if mendable else links < 0)):
+        unlinked = table.unlinked(field, getattr(dataset, target_name), empty=not mendable)
+        for row in table.rows_at(unlinked):
             token = getattr(row, field)
             if _may_be_empty(table_name, field, row, token):
                 continue

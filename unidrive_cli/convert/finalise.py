@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import platform
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 
 from unidrive_cli import __version__
@@ -27,7 +26,7 @@ from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
-from unidrive_cli.tables.table import write_rows
+from unidrive_cli.tables.table import RawRows, write_rows
 from unidrive_cli.warp.common import blanks_of
 from unidrive_cli.warp.pictures import encode_mask, size_of_file
 from unidrive_cli.warp.remap import Source, build_patches, coverage, virtual_views
@@ -142,7 +141,7 @@ def write_run(destination: Destination, summary: Summary) -> None:
     destination.write(RUN, _json(run))
 
 
-def _writer(folder: Path) -> Callable[[str, Iterable[bytes | msgspec.Raw]], int]:
+def _writer(folder: Path) -> Callable[[str, RawRows], int]:
     return lambda name, rows: write_rows(folder / f"{name}.json", rows)
 
 

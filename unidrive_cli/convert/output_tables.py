@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import itertools
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,9 +19,68 @@ from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
-from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_rows, mended_scenes
-from unidrive_cli.tables.table import EMPTY, Indices, ListedTable, RawRow, Table
+from unidrive_cli.tables.schema import Quaternion, Row, SampleAnnotation, Timestamp, Vector3
+from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
+from unidrive_cli.tables.table import EMPTY, Indices, ListedTable, RawRow, RawRows, Run, Table, are_kept, run_of
 from unidrive_cli.tables.tokens import derived_token
+
+_NUMBERS = operator.attrgetter("camera", "annotation", "left", "top", "right", "bottom")
+_UNITS_A_RUN = 256
+
+
+class _Annotation(Row, frozen=True, gc=False):
+    """What a 2D box takes over of a sample_annotation row."""
+
+    instance_token: str
+    prev: str = ""
+    next: str = ""
+    visibility_token: str | None = ""
+    attribute_tokens: list[str] = msgspec.field(default_factory=list)
+    num_lidar_pts: int = 0
+    num_radar_pts: int = 0
+
+
+class _BoxRow(msgspec.Struct, gc=False):
+    """A row of image_annotations."""
+
+    attribute_tokens: list[str]
+    bbox_corners: tuple[float, float, float, float]
+    category_name: str
+    filename: str
+    instance_token: str
+    next: str
+    num_lidar_pts: int
+    num_radar_pts: int
+    prev: str
+    sample_annotation_token: str
+    sample_data_token: str
+    visibility_token: str | None
+
+
+class _PictureRow(msgspec.Struct, gc=False):
+    """A sample_data row of a virtual picture."""
+
+    token: str
+    sample_token: str
+    ego_pose_token: str
+    calibrated_sensor_token: str
+    timestamp: Timestamp
+    fileformat: str
+    is_key_frame: bool
+    height: int
+    width: int
+    filename: str
+    prev: str
+    next: str
+
+
+class _PoseRow(msgspec.Struct, gc=False):
+    """An ego_pose row of a virtual picture."""
+
+    token: str
+    timestamp: Timestamp
+    rotation: Quaternion
+    translation: Vector3
 
 
 @dataclass
@@ -56,6 +118,11 @@ class OutputTables:
         self._receipts = receipts
         self._units = [unit for unit in plan.units if unit.sample.token in receipts]
         self._levels = VisibilityLevels(plan.dataset.visibility.rows)
+        self._pictures = [
+            [self._token("sample_data", unit.sample.token, channel) for channel in plan.rig.channels]
+            for unit in self._units
+        ]
+        """sample_data tokens of each unit's virtual pictures, in the rig's order; their poses have the same."""
         self.counts = Counts(samples=len(self._units))
 
     @cached_property
@@ -95,34 +162,37 @@ class OutputTables:
         old = dataset.sample_annotation.links("visibility_token", dataset.visibility)
         lowered: dict[int, str | None] = {}
         candidates = np.flatnonzero(self.kept_annotations & (self._shown < 1.0))
-        shares = self._shown[candidates].tolist()
-        for index, code, shown in zip(candidates.tolist(), old[candidates].tolist(), shares, strict=True):
+        shares, share_of = np.unique(self._shown[candidates], return_inverse=True)
+        cases, case_of = np.unique(np.maximum(old[candidates], EMPTY) * len(shares) + share_of, return_inverse=True)
+        for case, (code, share) in enumerate(zip(*np.divmod(cases, len(shares)), strict=True)):
             token = tokens[code] if code >= 0 else ""
-            if (new := self._levels.lowered(token, shown)) != token:
-                lowered[index] = new
+            if (new := self._levels.lowered(token, float(shares[share]))) != token:
+                lowered.update(dict.fromkeys(candidates[case_of == case].tolist(), new))
         return lowered
 
-    def write(self, write_table: Callable[[str, Iterable[RawRow]], int]) -> None:
-        """Calls `write_table(name, rows)` for every table of the output, and counts."""
+    def write(self, write_table: Callable[[str, RawRows], int]) -> None:
+        """Calls `write_table(name, rows)` for every table of the output, for two at a time, and counts."""
         kept, changes = self.kept_annotations, self._changed_annotations
         scenes = dict(mended_scenes(self._dataset, {unit.sample.token for unit in self._units}))
         instances = dict(mended_instances(self._dataset, kept))
-        rows: dict[str, Iterable[RawRow]] = {
+        rows: dict[str, RawRows] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
             "ego_pose": self._ego_poses(),
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
-            "scene": mended_rows(self._dataset.scene, _indices(scenes), scenes),
-            "sample_annotation": mended_rows(self._dataset.sample_annotation, np.flatnonzero(kept), changes),
-            "instance": mended_rows(self._dataset.instance, _indices(instances), instances),
+            "scene": self._dataset.scene.runs(_indices(scenes), scenes),
+            "sample_annotation": self._dataset.sample_annotation.runs(np.flatnonzero(kept), changes),
+            "instance": self._dataset.instance.runs(_indices(instances), instances),
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
         for name in ("category", "attribute", "log", "map"):
             rows[name] = getattr(self._dataset, name).raw
-        for name in sorted(rows):
-            self.counts.tables[name] = write_table(name, rows[name])
+        names = sorted(rows)
+        with ThreadPoolExecutor(2) as threads:
+            counts = threads.map(write_table, names, [rows[name] for name in names])
+            self.counts.tables.update(zip(names, counts, strict=True))
         receipts = [self._receipts[unit.sample.token] for unit in self._units]
         self.counts.annotations = int(np.count_nonzero(self.kept_annotations))
         self.counts.visibility_lowered = len(self._lowered)
@@ -171,79 +241,108 @@ class OutputTables:
                 camera_intrinsic=camera.lens.matrix.tolist(),
             )
 
-    def _ego_poses(self) -> Iterator[RawRow]:
+    def _ego_poses(self) -> RawRows:
         """Poses that a row which stays uses, or that none ever used; then one per virtual picture."""
         dataset, table = self._dataset, self._dataset.ego_pose
         poses = dataset.sample_data.links("ego_pose_token", table)
         stays = np.ones(len(table.rows), dtype=bool)
         stays[poses] = False
         stays[poses[self.kept_sample_data]] = True
-        yield from table.raw_at(np.flatnonzero(stays))
-        for unit in self._units:
-            place = dataset.sample_data.place(unit.reference, "ego_pose_token")
-            pose = table.get(unit.reference.ego_pose_token, place)
-            for channel in self._plan.rig.channels:
-                yield _row(
-                    token=self._token("sample_data", unit.sample.token, channel),
-                    timestamp=unit.reference.timestamp,
-                    rotation=list(pose.rotation),
-                    translation=list(pose.translation),
+        yield from table.runs(np.flatnonzero(stays), {})
+        places = table.find([unit.reference.ego_pose_token for unit in self._units])
+        for unit, pictures, pose in zip(self._units, self._pictures, table.rows_at(places), strict=True):
+            yield run_of(
+                [_PoseRow(token, unit.reference.timestamp, pose.rotation, pose.translation) for token in pictures]
+            )
+
+    def _sample_data(self) -> RawRows:
+        yield from self._linked_rows(self._dataset.sample_data, self.kept_sample_data)
+        by_scene: dict[str, list[tuple[Unit, list[str]]]] = {}
+        for unit, pictures in zip(self._units, self._pictures, strict=True):
+            by_scene.setdefault(unit.scene.token, []).append((unit, pictures))
+        for index, camera in enumerate(self._plan.rig.cameras):
+            calibration, lens = self._token("calibrated_sensor", "", camera.channel), camera.lens
+            for units in by_scene.values():
+                tokens = ["", *(pictures[index] for _, pictures in units), ""]
+                yield run_of(
+                    [
+                        _PictureRow(
+                            token,
+                            unit.sample.token,
+                            token,
+                            calibration,
+                            unit.reference.timestamp,
+                            "jpg",
+                            True,
+                            lens.height_px,
+                            lens.width_px,
+                            unit.pictures[index],
+                            before,
+                            after,
+                        )
+                        for (unit, _), before, token, after in zip(
+                            units, tokens, tokens[1:], tokens[2:], strict=False
+                        )
+                    ]
                 )
 
-    def _sample_data(self) -> Iterator[RawRow]:
-        yield from self._linked_rows(self._dataset.sample_data, self.kept_sample_data)
-        by_scene: dict[str, list[Unit]] = {}
-        for unit in self._units:
-            by_scene.setdefault(unit.scene.token, []).append(unit)
-        for index, camera in enumerate(self._plan.rig.cameras):
-            for units in by_scene.values():
-                tokens = [self._token("sample_data", unit.sample.token, camera.channel) for unit in units]
-                for place, unit in enumerate(units):
-                    yield _row(
-                        token=tokens[place],
-                        sample_token=unit.sample.token,
-                        ego_pose_token=tokens[place],
-                        calibrated_sensor_token=self._token("calibrated_sensor", "", camera.channel),
-                        timestamp=unit.reference.timestamp,
-                        fileformat="jpg",
-                        is_key_frame=True,
-                        height=camera.lens.height_px,
-                        width=camera.lens.width_px,
-                        filename=unit.pictures[index],
-                        prev=tokens[place - 1] if place else "",
-                        next=tokens[place + 1] if place + 1 < len(tokens) else "",
-                    )
-
-    def _boxes_2d(self) -> Iterator[RawRow]:
+    def _boxes_2d(self) -> Iterator[Run]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
-        dataset, kept, changes = self._dataset, self.kept_annotations, self._changed_annotations
+        dataset = self._dataset
         categories = {row.token: row.name for row in dataset.category.rows}
         instances = {row.token: categories.get(row.category_token, "") for row in dataset.instance.rows}
-        for unit in self._units:
-            indices = dataset.annotation_indices(unit.sample.token)
-            annotations = list(dataset.sample_annotation.rows_at(indices))
-            pictures = [
-                self._token("sample_data", unit.sample.token, channel) for channel in self._plan.rig.channels
-            ]
-            for box in self._receipts[unit.sample.token].boxes:
-                row, index = annotations[box.annotation], int(indices[box.annotation])
-                if not kept[index]:
-                    continue
-                mended = changes.get(index, {})
-                yield _row(
-                    attribute_tokens=row.attribute_tokens,
-                    bbox_corners=[box.left, box.top, box.right, box.bottom],
-                    category_name=instances[row.instance_token],
-                    filename=unit.pictures[box.camera],
-                    instance_token=row.instance_token,
-                    next=mended.get("next", row.next),
-                    num_lidar_pts=row.num_lidar_pts,
-                    num_radar_pts=row.num_radar_pts,
-                    prev=mended.get("prev", row.prev),
-                    sample_annotation_token=row.token,
-                    sample_data_token=pictures[box.camera],
-                    visibility_token=mended.get("visibility_token", row.visibility_token),
+        for start in range(0, len(self._units), _UNITS_A_RUN):
+            units = self._units[start : start + _UNITS_A_RUN]
+            indices = [dataset.annotation_indices(unit.sample.token) for unit in units]
+            annotations = dataset.sample_annotation.parts_at(np.concatenate(indices), _Annotation)
+            rows: list[_BoxRow] = []
+            for unit, pictures, own in zip(units, self._pictures[start:], indices, strict=False):
+                boxed = list(itertools.islice(annotations, len(own)))
+                self._add_boxes(rows, unit, pictures, own, boxed, instances)
+            yield run_of(rows)
+
+    def _add_boxes(
+        self,
+        rows: list[_BoxRow],
+        unit: Unit,
+        pictures: list[str],
+        indices: Indices,
+        annotations: Sequence[_Annotation | SampleAnnotation],
+        instances: dict[str, str],
+    ) -> None:
+        """Adds those of one unit to the rows.
+
+        Args:
+            pictures: tokens of its virtual pictures.
+            indices, annotations: (n,) its annotations.
+            instances: category names by instance token.
+        """
+        stays, changes = self.kept_annotations[indices].tolist(), self._changed_annotations
+        names, places = unit.pictures, indices.tolist()
+        for camera, place, left, top, right, bottom in map(_NUMBERS, self._receipts[unit.sample.token].boxes):
+            if not stays[place]:
+                continue
+            row = annotations[place]
+            prev, following, visibility = row.prev, row.next, row.visibility_token
+            if mended := changes.get(places[place]):
+                prev, following = mended.get("prev", prev), mended.get("next", following)
+                visibility = mended.get("visibility_token", visibility)
+            rows.append(
+                _BoxRow(
+                    row.attribute_tokens,
+                    (left, top, right, bottom),
+                    instances[row.instance_token],
+                    names[camera],
+                    row.instance_token,
+                    following,
+                    row.num_lidar_pts,
+                    row.num_radar_pts,
+                    prev,
+                    row.token,
+                    pictures[camera],
+                    visibility,
                 )
+            )
 
     @cached_property
     def _changed_annotations(self) -> dict[int, dict[str, Any]]:
@@ -257,8 +356,8 @@ class OutputTables:
             changes.setdefault(index, {})["translation"] = centres[index].tolist()
         return changes
 
-    def _linked_rows(self, table: Table[Any], kept: Bool) -> Iterator[RawRow]:
-        return mended_rows(table, np.flatnonzero(kept), mended_links(table, kept))
+    def _linked_rows(self, table: Table[Any], kept: Bool) -> RawRows:
+        return table.runs(np.flatnonzero(kept), mended_links(table, kept))
 
     @staticmethod
     def _mask(table: ListedTable[Any], tokens: list[str]) -> Bool:

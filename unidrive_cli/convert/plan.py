@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
 import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -182,18 +181,12 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
     toolchain = choose_toolchain(options.kernel, options.codec)
     surfaces = [view.half_ball for view in virtual_views(rig, options.depth_limit_m, options.ground_height_m)]
     notes = list(dataset.notes)
-    mended = []
-    for finding in check_references(dataset):
-        if finding.error:
-            raise DatasetError(finding.what, where=finding.where, hint="The dataset is incomplete or broken.")
-        mended.append(finding)
-    if mended:
-        notes.append(
-            f"{len(mended)} list links point outside of the dataset and are closed in the output "
-            f"(the first: {mended[0].where} {mended[0].what[:-1]})."
-        )
-    check_poses(dataset)
-    _check_filenames(dataset)
+    with ThreadPoolExecutor(1) as threads:
+        decoding = threads.submit(lambda: dataset.keyframes)
+        notes.extend(_mended_links(dataset))
+        check_poses(dataset)
+        _check_filenames(dataset)
+        decoding.result()
     channels = set(dataset.camera_channels(options.cameras))
     units = list(_units(dataset, rig, options, channels))
     if not units:
@@ -213,6 +206,21 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
             f"Nothing of {channel} is common: its pictures are black." for channel, share in shares if not share
         )
     return plan
+
+
+def _mended_links(dataset: Dataset) -> list[str]:
+    """A sentence where links point outside of the dataset and need not."""
+    mended = []
+    for finding in check_references(dataset):
+        if finding.error:
+            raise DatasetError(finding.what, where=finding.where, hint="The dataset is incomplete or broken.")
+        mended.append(finding)
+    if not mended:
+        return []
+    return [
+        f"{len(mended)} list links point outside of the dataset and are closed in the output "
+        f"(the first: {mended[0].where} {mended[0].what[:-1]})."
+    ]
 
 
 def consumer_notes(rig: Rig, dataset: Dataset) -> list[str]:
@@ -311,9 +319,10 @@ def _check_cameras(plan: Plan) -> None:
     for unit in plan.units:
         for row in unit.sources:
             place = dataset.sample_data.place(row, "filename")
-            path = dataset.files.locate(row.filename, place)
             if stop:
-                _refuse_missing(path, place)
+                _refuse_missing(dataset, row, place)
+            else:
+                dataset.files.locate(row.filename, place)
             calibration = (row.calibrated_sensor_token, row.width, row.height)
             if calibration in seen:
                 continue
@@ -322,12 +331,13 @@ def _check_cameras(plan: Plan) -> None:
                 size = picture_size_of(dataset, row, size_of_file)
                 lens_and_pose(dataset, row, size)
                 if stop:
-                    check_size(read_head(Path(path), SKIP_HINT), size, path)
+                    path = dataset.path_of(row)
+                    check_size(read_head(path, SKIP_HINT), size, str(path))
 
 
-def _refuse_missing(path: str, place: str) -> None:
+def _refuse_missing(dataset: Dataset, row: SampleData, place: str) -> None:
     try:
-        status = os.stat(path)  # noqa: PTH116 - 200,000 times
+        status = dataset.files.look_at(row.filename, place)
         if stat.S_ISREG(status.st_mode) and status.st_size > 0:
             return
         what = "is empty" if stat.S_ISREG(status.st_mode) else "is no file"
@@ -335,7 +345,7 @@ def _refuse_missing(path: str, place: str) -> None:
         what = "is missing"
     except OSError as error:
         what = f"cannot be read: {error.strerror}"
-    raise PictureError(f"the picture {path} {what}.", where=place, hint=SKIP_HINT)
+    raise PictureError(f"the picture {dataset.path_of(row)} {what}.", where=place, hint=SKIP_HINT)
 
 
 def _source_notes(dataset: Dataset, units: list[Unit], channels: set[str], surfaces: list[HalfBall]) -> list[str]:

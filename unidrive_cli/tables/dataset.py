@@ -127,9 +127,10 @@ class Dataset:
 
     @cached_property
     def keyframes(self) -> dict[str, list[SampleData]]:
-        """Key frame rows of all sensors by sample token, in table order."""
+        """Key frame rows of lidars and cameras by sample token, in table order."""
         by_sample: dict[str, list[SampleData]] = defaultdict(list)
-        for row in self.sample_data.rows_at(np.flatnonzero(self.sample_data.flags("is_key_frame"))):
+        are_key_frames = self.sample_data.flags("is_key_frame")
+        for row in self.sample_data.rows_at(np.flatnonzero(are_key_frames & self._are_of("lidar", "camera"))):
             by_sample[row.sample_token].append(row)
         self.ego_pose.expect([row.ego_pose_token for rows in by_sample.values() for row in rows])
         return by_sample
@@ -141,12 +142,16 @@ class Dataset:
         Raises:
             DatasetError: a calibrated_sensor_token points nowhere.
         """
+        return self._are_of("camera")
+
+    def _are_of(self, *modalities: str) -> Bool:
+        """(n,) bool: the sample_data rows that sensors of some modalities have recorded."""
         calibrations = self.calibrated_sensor.rows
-        cameras = [self.sensor_of_calibration[row.token].modality == "camera" for row in calibrations]
+        are_of = [self.sensor_of_calibration[row.token].modality in modalities for row in calibrations]
         of_row = self.sample_data.links("calibrated_sensor_token", self.calibrated_sensor)
         for row in self.sample_data.rows_at(np.flatnonzero(of_row < 0)[:1]):
             self.sensor_of(row)
-        return np.array(cameras, dtype=bool)[of_row]
+        return np.array(are_of, dtype=bool)[of_row]
 
     @cached_property
     def _annotations_by_sample(self) -> tuple[Indices, Indices]:

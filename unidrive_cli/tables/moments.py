@@ -17,22 +17,19 @@ def reference_of(dataset: Dataset, sample: Sample) -> SampleData:
     Raises:
         DatasetError: the sample has neither.
     """
-    rows = dataset.keyframes.get(sample.token, [])
-    sensors = {row.token: dataset.sensor_of(row) for row in rows}
-    ranks = {"lidar": 1, "camera": 2}
-    candidates = [row for row in rows if sensors[row.token].modality in ranks]
-    if not candidates:
+    rows = dataset.keyframes.get(sample.token)
+    if not rows:
         raise DatasetError(
             "the sample has no key frame of a lidar or a camera, so it has no pose.",
             where=dataset.sample.place(sample, "token"),
         )
 
     def rank(row: SampleData) -> tuple[int, float, str]:
-        sensor = sensors[row.token]
-        top = sensor.channel == LIDAR_REFERENCE
-        return (0 if top else ranks[sensor.modality], abs(row.timestamp - sample.timestamp), sensor.channel)
+        sensor = dataset.sensor_of(row)
+        kind = 0 if sensor.channel == LIDAR_REFERENCE else 1 if sensor.modality == "lidar" else 2
+        return kind, abs(row.timestamp - sample.timestamp), sensor.channel
 
-    return min(candidates, key=rank)
+    return min(rows, key=rank)
 
 
 def cameras_of(dataset: Dataset, sample: Sample, reference: SampleData) -> dict[str, SampleData]:

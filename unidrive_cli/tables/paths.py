@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 from unidrive_cli.errors import DatasetError
@@ -72,16 +73,35 @@ class Inside:
 
     def locate(self, filename: str, where: str) -> str:
         """As `resolve`, for very many files."""
-        check_filename(filename, where)
-        full = f"{self._root}/{filename}"
-        folder = os.path.dirname(full)
-        if folder not in self._safe_folders:
-            self._refuse_outside(folder, filename, where)
-            if os.path.isdir(folder) and not os.access(folder, os.X_OK):
-                raise DatasetError(f"the folder {folder} cannot be read: permission denied.", where=where)
-            self._safe_folders.add(folder)
+        full = self._in_safe_folder(filename, where)
         if os.path.islink(full):
             self._refuse_outside(full, filename, where)
+        return full
+
+    def look_at(self, filename: str, where: str) -> os.stat_result:
+        """The status of the file, as of one that `locate` finds; a file that is no link is asked for once.
+
+        Raises:
+            DatasetError: the name is not safe, or a link leads out of the dataset.
+            OSError: there is no such file, or it cannot be looked at.
+        """
+        full = self._in_safe_folder(filename, where)
+        status = os.lstat(full)
+        if stat.S_ISLNK(status.st_mode):
+            self._refuse_outside(full, filename, where)
+            status = os.stat(full)
+        return status
+
+    def _in_safe_folder(self, filename: str, where: str) -> str:
+        check_filename(filename, where)
+        full = f"{self._root}/{filename}"
+        folder = filename.rpartition("/")[0]
+        if folder not in self._safe_folders:
+            real = os.path.dirname(full)
+            self._refuse_outside(real, filename, where)
+            if os.path.isdir(real) and not os.access(real, os.X_OK):
+                raise DatasetError(f"the folder {real} cannot be read: permission denied.", where=where)
+            self._safe_folders.add(folder)
         return full
 
     def _refuse_outside(self, path: str, filename: str, where: str) -> None:

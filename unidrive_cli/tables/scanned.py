@@ -6,24 +6,43 @@ import glob
 import hashlib
 import os
 import types
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints, overload
+from threading import Thread
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints, overload
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.schema import TABLES, Row
-from unidrive_cli.tables.table import EMPTY, NOWHERE, Indices, ListedTable, RawRow, Table, bad_row
+from unidrive_cli.tables.table import (
+    EMPTY,
+    NOWHERE,
+    SEPARATOR,
+    Indices,
+    ListedTable,
+    RawRow,
+    RawRows,
+    Run,
+    Table,
+    bad_row,
+    changed,
+)
 
 R = TypeVar("R", bound=Row)
+P = TypeVar("P", bound=Row)
 SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
+_HASHED_BYTES = 32 << 20
 _PIECE_ROWS = 1 << 14
+_MANY = 1 << 17
+"""So many tokens are looked up in order, so that neighbouring questions have neighbouring answers."""
 _FOLDER = """
 case when strlen(filename) <= 255 and filename[1] not in ('/', '.') and not contains(filename, '..')
 and not contains(filename, '/.') and not contains(filename, '//') and not contains(filename, chr(92))
@@ -61,7 +80,13 @@ def scan_tables(folder: Path, names: Sequence[str]) -> dict[str, ScannedTable[An
                     found[name] = ScannedTable[Any](store, name, file)
             except _Odd:
                 continue
+    Thread(target=_hash, args=([files[name].result() for name in found],), daemon=True).start()
     return found
+
+
+def _hash(files: Sequence[_File]) -> None:
+    for file in files:
+        file.hash()
 
 
 class ScannedTable(Table[R]):
@@ -74,20 +99,26 @@ class ScannedTable(Table[R]):
     def __init__(self, store: _Store, name: str, file: _File) -> None:
         self.name = name
         self.file = file.path
-        self.digest = file.digest
         self.size_bytes = file.size_bytes
         self._store = store
         self._file = file
-        self._decode: Callable[[bytes], Any] = msgspec.json.Decoder(TABLES[name]).decode
         self._links: dict[tuple[str, str], Indices] = {}
         self._expected: dict[str, int] = {}
+        self._to_expect: list[str] = []
         self.rows: Sequence[R] = _Sequence(file.row_count, self.rows_at)
         self.raw: Sequence[RawRow] = _Sequence(file.row_count, self.raw_at)
+
+    @cached_property
+    def digest(self) -> str:  # type: ignore[override]  # waited for where it is asked for
+        return self._file.digest
 
     def find(self, tokens: Sequence[str]) -> Indices:
         return self._store.find(tokens, self.name)
 
     def get(self, token: str, wanted_by: str) -> R:
+        if self._to_expect:
+            tokens, self._to_expect = self._to_expect, []
+            self._expected.update(zip(tokens, self.find(tokens).tolist(), strict=True))
         index = self._expected.get(token, NOWHERE)
         if index < 0:
             index = int(self.find([token])[0])
@@ -96,13 +127,19 @@ class ScannedTable(Table[R]):
         return self.rows[index]
 
     def expect(self, tokens: Sequence[str]) -> None:
-        self._expected.update(zip(tokens, self.find(tokens).tolist(), strict=True))
+        self._to_expect.extend(tokens)
 
     def links(self, field: str, target: Table[Any]) -> Indices:
         key = (field, target.name)
         if key not in self._links:
             self._links[key] = self._store.links(self.name, field, _relation(target))
         return self._links[key]
+
+    def unlinked(self, field: str, target: Table[Any], *, empty: bool) -> Indices:
+        return self._store.unlinked(self.name, field, _relation(target), empty=empty)
+
+    def leading_out(self, field: str, kept: Bool) -> Indices:
+        return self._store.leading_out(self.name, field, kept)
 
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         return self._store.rows_with_dangling(self.name, field, _relation(target))
@@ -122,15 +159,35 @@ class ScannedTable(Table[R]):
         return np.union1d(rows[one_by_one[codes]], rows[first])
 
     def rows_at(self, indices: Indices) -> Iterator[R]:
-        decode = self._decode
-        for index, text in zip(indices, self.raw_at(indices), strict=True):
+        return self._decoded(indices, TABLES[self.name])
+
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
+        return self._decoded(indices, part)
+
+    def _decoded(self, indices: Indices, row_type: type[Row]) -> Iterator[Any]:
+        decode = msgspec.json.Decoder(list[row_type]).decode  # type: ignore[valid-type]
+        start = 0
+        for run in self._file.runs(indices, {}):
             try:
-                yield decode(text)
+                rows = decode(b"[%b]" % run.text)
+            except (msgspec.DecodeError, RecursionError):
+                self._refuse_bad_row(indices[start : start + run.number], row_type)
+                raise
+            yield from rows
+            start += run.number
+
+    def _refuse_bad_row(self, indices: Indices, row_type: type[Row]) -> None:
+        for index, text in zip(indices.tolist(), self.raw_at(indices), strict=True):
+            try:
+                msgspec.json.decode(text, type=row_type)
             except (msgspec.DecodeError, RecursionError) as error:
-                raise bad_row(text, int(index), self.file, str(error)) from error
+                raise bad_row(text, index, self.file, str(error)) from error
 
     def raw_at(self, indices: Indices) -> Iterator[bytes]:
         return self._file.texts(np.asarray(indices))
+
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> RawRows:
+        return self._file.runs(indices, changes)
 
 
 class _Sequence(Sequence[Any]):
@@ -165,7 +222,6 @@ class _File:
 
     Attributes:
         path: the file.
-        digest: SHA-256 (hex) of it.
         size_bytes: its size.
         row_count: how many rows it can have; -1 where that is not to be told from its braces.
     """
@@ -174,21 +230,41 @@ class _File:
         self.path = str(path)
         self._stream = path.open("rb", buffering=0)
         self._state = self._state_now()
-        digest = hashlib.sha256()
+        self._digest: Future[str] = Future()
         begins, ends = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         at = 0
         buffer = bytearray(_PIECE_BYTES)
         while size := self._stream.readinto(buffer):
             piece = memoryview(buffer)[:size]
-            digest.update(piece)
             codes = np.frombuffer(piece, dtype=np.uint8)
             begins.append(np.flatnonzero(codes == ord("{")) + at)
             ends.append(np.flatnonzero(codes == ord("}")) + at + 1)
             at += size
         self.size_bytes = at
-        self.digest = digest.hexdigest()
         self._begins, self._ends = np.concatenate(begins), np.concatenate(ends)
         self.row_count = len(self._begins) if len(self._begins) == len(self._ends) else -1
+
+    def hash(self) -> None:
+        """Makes the digest, or what is raised for it."""
+        try:
+            digest = hashlib.sha256()
+            for begin in range(0, self.size_bytes, _HASHED_BYTES):
+                digest.update(self._read(begin, min(begin + _HASHED_BYTES, self.size_bytes)))
+            self._digest.set_result(digest.hexdigest())
+        except Exception as error:
+            self._digest.set_exception(error)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the file; waits for `hash`.
+
+        Raises:
+            DatasetError: the file is not as it was, or cannot be read.
+        """
+        try:
+            return self._digest.result()
+        except OSError as error:
+            raise DatasetError(f"cannot be read: {error.strerror}.", where=self.path) from error
 
     def texts(self, indices: Indices) -> Iterator[bytes]:
         """The text of some rows; neighbours are read together.
@@ -196,6 +272,40 @@ class _File:
         Raises:
             DatasetError: the file is not as it was.
         """
+        for _, data, begins, ends in self._windows(indices):
+            for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+                yield data[begin:end]
+
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> Iterator[Run]:
+        """The rows as they are written, changed fields put in; what stands in the file just so is copied as it is.
+
+        Raises:
+            DatasetError: the file is not as it was.
+        """
+        are_changed = np.zeros(len(self._begins) if changes else 0, dtype=bool)
+        are_changed[list(changes)] = True
+        for start, data, begins, ends in self._windows(indices):
+            rows = indices[start : start + len(begins)]
+            alone = are_changed[rows] if changes else np.zeros(len(rows), dtype=bool)
+            ends_here, codes = ends[:-1], np.frombuffer(data, dtype=np.uint8)
+            joined = (begins[1:] == ends_here + len(SEPARATOR)) & ~alone[1:] & ~alone[:-1]
+            for place, code in enumerate(SEPARATOR):
+                joined[joined] = codes[ends_here[joined] + place] == code
+            first = np.append(True, ~joined)
+            texts = [
+                changed(data[begin:end], changes[row]) if is_changed else data[begin:end]
+                for row, is_changed, begin, end in zip(
+                    rows[first].tolist(),
+                    alone[first].tolist(),
+                    begins[first].tolist(),
+                    ends[np.append(~joined, True)].tolist(),
+                    strict=True,
+                )
+            ]
+            yield Run(len(rows), SEPARATOR.join(texts))
+
+    def _windows(self, indices: Indices) -> Iterator[tuple[int, bytes, Indices, Indices]]:
+        """Rows that are read together: the place of the first, the bytes, where in them each begins and ends."""
         begins, ends = self._begins[indices], self._ends[indices]
         start = 0
         while start < len(begins):
@@ -206,10 +316,7 @@ class _File:
                 far = np.flatnonzero((window - origin >= _PIECE_BYTES) | (np.diff(window, prepend=origin) < 0))
                 stop = start + (int(far[0]) if len(far) else len(window))
             data = self._read(origin, int(ends[start:stop].max()))
-            for begin, end in zip(
-                (begins[start:stop] - origin).tolist(), (ends[start:stop] - origin).tolist(), strict=True
-            ):
-                yield data[begin:end]
+            yield start, data, begins[start:stop] - origin, ends[start:stop] - origin
             start = stop
 
     def _read(self, begin: int, end: int) -> bytes:
@@ -235,6 +342,7 @@ class _Store:
         self._database = duckdb.connect(
             config={"autoinstall_known_extensions": False, "autoload_known_extensions": False, "temp_directory": ""}
         )
+        self._tokens: dict[str, _Tokens] = {}
 
     def load(self, path: Path, name: str) -> int:
         """Loads a table's columns; returns the number of its rows.
@@ -251,59 +359,70 @@ class _Store:
                 f"columns = {read})",
                 [glob.escape(str(path))],
             )
-            sums = f"count(*), count(distinct token), count(*) filter (is_whole) from {name}"
-            count, distinct, whole = connection.execute(f"select {sums}").fetchall()[0]
+            sums = f"count(*), count(token), count(*) filter (is_whole) from {name}"
+            count, named, whole = connection.execute(f"select {sums}").fetchall()[0]
         except self._error as error:
             raise _Odd from error
-        if not count == distinct == whole:
+        if not count == named == whole:
+            raise _Odd
+        self._tokens[name] = tokens = _Tokens(self._hashes(f"select token from {name}").values)
+        if not tokens.are_unique():
             raise _Odd
         return int(count)
 
     def find(self, tokens: Sequence[str], target: str) -> Indices:
         """Where rows of a loaded table stand, by token."""
-        wanted = "(select case when token <> '' then hash(token) end as link, position from given)"
-        known, _ = _known(target)
-        return self._joined(wanted, known, _numbered(tokens))
+        return self._tokens[target].places(self._hashed(tokens))
 
     def links(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """Where the rows stand to which the rows of a loaded table point: in another, or in a list of tokens."""
-        return self._joined(f"(select {field} as link, rowid as position from {name})", *_known(target))
+        return self._known(target).places(self._hashes(f"select {field} from {name}"))
+
+    def unlinked(self, name: str, field: str, target: str | Sequence[str], *, empty: bool) -> Indices:
+        """The rows of which the field's token is not in the other table, or list; and those without a token."""
+        links = self._hashes(f"select {field} from {name}")
+        return np.flatnonzero(self._known(target).are_missing(links) | (links.are_empty & empty))
+
+    def leading_out(self, name: str, field: str, kept: Bool) -> Indices:
+        """The rows of a loaded table, of some, that point to another row than one of these."""
+        links, inside = self._hashes(f"select {field} from {name}"), np.flatnonzero(kept)
+        tokens = _Tokens(self._tokens[name].hashes[inside])
+        return inside[tokens.are_missing(_Hashes(links.values[inside], links.are_empty[inside]))]
 
     def rows_with_dangling(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
         """The rows of which a list holds a token that the other table, or list, does not have."""
-        known, given = _known(target)
-        return self._indices(
-            f"select distinct position from (select unnest({field}) as link, rowid as position from {name}) "
-            f"anti join {known} on link = token order by position",
-            given,
-        )
+        lists = self._fetch(f"select len({field}) as size from {name}")["size"].astype(np.int64)
+        tokens = self._hashes(f"select unnest({field}) from {name}")
+        owners = np.repeat(np.arange(len(lists)), lists)
+        rows: Indices = np.unique(owners[self._known(target).are_missing(tokens)])
+        return rows
 
     def columns(self, name: str, fields: Sequence[str]) -> Float:
         """(n, k) float64 columns of a loaded table."""
-        found = self._fetch(f"select {', '.join(fields)} from {name}", {})
+        found = self._fetch(f"select {', '.join(fields)} from {name}")
         return np.stack([np.asarray(found[field], dtype=np.float64) for field in fields], axis=1)
 
     def folders(self, name: str) -> tuple[list[str], Indices]:
         """The folders of plain file names ('' for all others), and the number of each row's folder."""
-        found = self._fetch(f"select distinct folder from {name} order by folder", {})["folder"].tolist()
-        folders = f"(select folder as link, rowid as position from {name})"
-        codes = self._joined(folders, "(select token, position as place from given)", _numbered(found))
-        return found, codes
+        found: list[str] = self._fetch(f"select distinct folder from {name} order by folder")["folder"].tolist()
+        codes = self._hashes(f"select hash(folder) from {name}")
+        return found, _Tokens(self._hashed(found, empty="hash('')").values).places(codes)
 
-    def _joined(self, wanted: str, known: str, given: dict[str, Any]) -> Indices:
-        return self._indices(
-            f"select coalesce(place, case when link is null then {EMPTY} else {NOWHERE} end) as place "
-            f"from {wanted} left join {known} on link = token order by position",
-            given,
-        )
+    def _known(self, target: str | Sequence[str]) -> _Tokens:
+        return self._tokens[target] if isinstance(target, str) else _Tokens(self._hashed(target).values)
 
-    def _indices(self, query: str, given: dict[str, Any]) -> Indices:
+    def _hashed(self, texts: Sequence[str], empty: str = "null") -> _Hashes:
+        given = {"text": np.array(texts, dtype=object), "position": np.arange(len(texts))}
+        query = f"select case when text = '' then {empty} else hash(text) end from given order by position"
+        return self._hashes(query, given)
+
+    def _hashes(self, query: str, given: dict[str, Any] | None = None) -> _Hashes:
         """The one column that a query selects."""
         (column,) = self._fetch(query, given).values()
-        indices: Indices = column.astype(np.int64)
-        return indices
+        values = np.asarray(column, dtype=np.uint64)
+        return _Hashes(values, np.broadcast_to(getattr(column, "mask", False), values.shape))
 
-    def _fetch(self, query: str, given: dict[str, Any]) -> dict[str, Any]:
+    def _fetch(self, query: str, given: dict[str, Any] | None = None) -> dict[str, Any]:
         connection = self._database.cursor()
         if given:
             connection.register("given", given)
@@ -311,21 +430,60 @@ class _Store:
         return fetched
 
 
+class _Hashes(NamedTuple):
+    """Hashed tokens: (n,) uint64, and (n,) bool where there is none."""
+
+    values: npt.NDArray[np.uint64]
+    are_empty: Bool
+
+
+class _Tokens:
+    """The hashed tokens of a table, to look others up in."""
+
+    def __init__(self, hashes: npt.NDArray[np.uint64]) -> None:
+        self.hashes = hashes
+        self._ascending = np.sort(hashes)
+        self._are_many = len(hashes) > _MANY
+
+    def are_unique(self) -> bool:
+        return bool((self._ascending[1:] != self._ascending[:-1]).all())
+
+    def are_missing(self, wanted: _Hashes) -> Bool:
+        """(n,) where a token is wanted that is not here."""
+        asked = wanted.values[~wanted.are_empty]
+        if self._are_many:
+            asked.sort()
+        missing = asked[~self._are_at(np.searchsorted(self._ascending, asked), asked)]
+        if not len(missing):
+            return np.zeros(len(wanted.values), dtype=bool)
+        return np.isin(wanted.values, missing) & ~wanted.are_empty
+
+    def places(self, wanted: _Hashes) -> Indices:
+        """(n,) where the wanted tokens stand, EMPTY or NOWHERE."""
+        order = np.argsort(wanted.values) if self._are_many else np.arange(len(wanted.values))
+        asked = wanted.values[order]
+        found = np.searchsorted(self._ascending, asked)
+        there = self._are_at(found, asked)
+        places = np.full(len(asked), NOWHERE)
+        places[order[there]] = self._order[found[there]]
+        places[wanted.are_empty] = EMPTY
+        return places
+
+    @cached_property
+    def _order(self) -> Indices:
+        return np.argsort(self.hashes)
+
+    def _are_at(self, places: Indices, asked: npt.NDArray[np.uint64]) -> Bool:
+        if not len(self._ascending):
+            return np.zeros(len(asked), dtype=bool)
+        are_at: Bool = self._ascending[np.minimum(places, len(self._ascending) - 1)] == asked
+        return are_at
+
+
 def _relation(target: Table[Any]) -> str | list[str]:
     if isinstance(target, ListedTable):
         return list(target.by_token)
     return target.name
-
-
-def _known(target: str | Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """A relation of hashed tokens and their places, and what it is made from."""
-    if isinstance(target, str):
-        return f"(select token, rowid as place from {target})", {}
-    return "(select hash(token) as token, position as place from given)", _numbered(target)
-
-
-def _numbered(texts: Sequence[str]) -> dict[str, Any]:
-    return {"token": np.array(texts, dtype=object), "position": np.arange(len(texts))}
 
 
 def _columns(row_type: type[Row]) -> tuple[str, list[str], list[str]]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
 
 from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.table import EMPTY, Indices, RawRow, Table, changed
+from unidrive_cli.tables.table import EMPTY, Indices, Table
 
 
 def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
@@ -26,29 +26,16 @@ def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:
     """
     changes: dict[int, dict[str, Any]] = {}
     for direction in ("prev", "next"):
-        links = table.links(direction, table)
-        open_ends = np.flatnonzero(kept & (links != EMPTY) & ~are_kept(kept, links))
+        open_ends = table.leading_out(direction, kept)
         if not len(open_ends):
             continue
+        links = table.links(direction, table)
         ends = _followed(links, kept)[links[open_ends]]
         there = ends >= 0
         tokens = iter([row.token for row in table.rows_at(ends[there])])
         for row, is_there in zip(open_ends.tolist(), there.tolist(), strict=True):
             changes.setdefault(row, {})[direction] = next(tokens) if is_there else ""
     return changes
-
-
-def mended_rows(table: Table[Any], indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> Iterator[RawRow]:
-    """JSON text of some rows, with the changes, by row index, put in."""
-    for index, raw in zip(indices.tolist(), table.raw_at(indices), strict=True):
-        fields = changes.get(index)
-        yield changed(raw, fields) if fields else raw
-
-
-def are_kept(kept: Bool, links: Indices) -> Bool:
-    """Whether links lead to rows that stay; those that are empty or lead nowhere do not."""
-    inside: Bool = (links >= 0) & kept[np.maximum(links, 0)]
-    return inside
 
 
 def _followed(links: Indices, kept: Bool) -> Indices:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
 import math
 import os
@@ -15,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -26,7 +25,19 @@ from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.schema import TABLES, Row
 
 R = TypeVar("R", bound=Row)
+P = TypeVar("P", bound=Row)
 RawRow = bytes | msgspec.Raw
+
+
+class Run(NamedTuple):
+    """Rows as they are written: their number, and their JSON texts with `SEPARATOR` between them."""
+
+    number: int
+    text: RawRow
+
+
+RawRows = Iterable[RawRow | Run]
+SEPARATOR = b",\n"
 Indices = npt.NDArray[np.int64]
 EMPTY, NOWHERE = -1, -2
 """In place of a row's index: the field is empty; the token is not in the table."""
@@ -77,6 +88,16 @@ class Table(ABC, Generic[R]):
     def links(self, field: str, target: Table[Any]) -> Indices:
         """`target.find` for a field of all rows; a missing optional token counts as empty."""
 
+    def unlinked(self, field: str, target: Table[Any], *, empty: bool) -> Indices:
+        """The rows whose token `target` does not have; with `empty`, those too whose token is empty."""
+        links = self.links(field, target)
+        return np.flatnonzero(links < 0 if empty else links == NOWHERE)
+
+    def leading_out(self, field: str, kept: Bool) -> Indices:
+        """The rows that stay, and that point to one of the same table that does not, or is not there."""
+        links = self.links(field, self)
+        return np.flatnonzero(kept & (links != EMPTY) & ~are_kept(kept, links))
+
     @abstractmethod
     def rows_with_dangling(self, field: str, target: Table[Any]) -> Indices:
         """The rows whose list of tokens holds one that `target` does not have."""
@@ -103,8 +124,16 @@ class Table(ABC, Generic[R]):
         """The typed rows at these indices."""
 
     @abstractmethod
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
+        """The rows at these indices, of which only the fields of `part` are wanted."""
+
+    @abstractmethod
     def raw_at(self, indices: Indices) -> Iterator[RawRow]:
         """The JSON text of the rows at these indices."""
+
+    @abstractmethod
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> RawRows:
+        """The JSON text of the rows at these indices, to be written, with the changed fields, by index, put in."""
 
     def place(self, row: Row, field: str) -> str:
         """How an error sentence names a field of a row."""
@@ -183,8 +212,16 @@ class ListedTable(Table[R]):
     def rows_at(self, indices: Indices) -> Iterator[R]:
         return (self.rows[index] for index in indices)
 
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
+        return self.rows_at(indices)
+
     def raw_at(self, indices: Indices) -> Iterator[RawRow]:
         return (self.raw[index] for index in indices)
+
+    def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> RawRows:
+        for index in indices.tolist():
+            fields = changes.get(index)
+            yield changed(self.raw[index], fields) if fields else self.raw[index]
 
     def extended(self, records: Iterable[dict[str, Any]]) -> ListedTable[R]:
         """The table with further full records at its end; the digest stays that of the file."""
@@ -239,22 +276,48 @@ def table_of(name: str, records: Iterable[dict[str, Any]]) -> ListedTable[Any]:
     return ListedTable(name, f"{name}.json", rows, list(raw), digest, sum(map(len, raw)))
 
 
-def write_rows(path: Path, raw: Iterable[RawRow]) -> int:
+def write_rows(path: Path, rows: RawRows) -> int:
     """Writes rows of JSON text as a list, one row a line, atomically; returns their number."""
     count = 0
     temporary = path.with_name(path.name + ".part")
     with temporary.open("wb") as stream:
         stream.write(b"[")
-        rows = iter(raw)
-        while batch := list(itertools.islice(rows, _ROWS_A_WRITE)):
-            stream.write(b",\n" if count else b"\n")
-            stream.write(b",\n".join(batch))
-            count += len(batch)
+        for run in _runs(rows):
+            if run.number:
+                stream.write(SEPARATOR if count else b"\n")
+                stream.write(run.text)
+                count += run.number
         stream.write(b"\n]\n")
         stream.flush()
         os.fsync(stream.fileno())
     temporary.replace(path)
     return count
+
+
+def run_of(rows: Sequence[msgspec.Struct]) -> Run:
+    """Rows as they are written; no line of JSON text has a line break in it."""
+    return Run(len(rows), msgspec.json.Encoder().encode_lines(rows)[:-1].replace(b"\n", SEPARATOR))
+
+
+def _runs(rows: RawRows) -> Iterator[Run]:
+    """The rows that stand alone brought together."""
+    alone: list[RawRow] = []
+    for row in rows:
+        if not isinstance(row, Run):
+            alone.append(row)
+            if len(alone) < _ROWS_A_WRITE:
+                continue
+        yield Run(len(alone), SEPARATOR.join(alone))
+        alone.clear()
+        if isinstance(row, Run):
+            yield row
+    yield Run(len(alone), SEPARATOR.join(alone))
+
+
+def are_kept(kept: Bool, links: Indices) -> Bool:
+    """Whether links lead to rows that stay; those that are empty or lead nowhere do not."""
+    inside: Bool = (links >= 0) & kept[np.maximum(links, 0)]
+    return inside
 
 
 def changed(raw: RawRow, changes: Mapping[str, Any]) -> bytes:

@@ -11,8 +11,8 @@ import numpy as np
 
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.schema import Scene
-from unidrive_cli.tables.subset import are_kept, mended_instances, mended_links, mended_rows
-from unidrive_cli.tables.table import RawRow, write_rows
+from unidrive_cli.tables.subset import mended_instances, mended_links
+from unidrive_cli.tables.table import RawRows, are_kept, write_rows
 
 WHOLE = ("sensor", "calibrated_sensor", "category", "attribute", "visibility", "log", "map")
 """Tables that stay as they are; they do not grow with the recordings, or only little."""
@@ -39,17 +39,17 @@ def thinned(dataset: Dataset, scenes: Sequence[Scene]) -> Iterator[tuple[Path, i
                 (root / entry.name).symlink_to(entry)
         folder = root / dataset.version
         folder.mkdir()
-        tables: dict[str, Iterator[RawRow]] = {
+        tables: dict[str, RawRows] = {
             "scene": (
                 raw for row, raw in zip(dataset.scene.rows, dataset.scene.raw, strict=True) if row.token in tokens
             ),
-            "ego_pose": dataset.ego_pose.raw_at(np.flatnonzero(poses)),
-            "instance": mended_rows(dataset.instance, np.array(list(instances), dtype=np.int64), instances),
-            **{name: iter(getattr(dataset, name).raw) for name in WHOLE},
+            "ego_pose": dataset.ego_pose.runs(np.flatnonzero(poses), {}),
+            "instance": dataset.instance.runs(np.array(list(instances), dtype=np.int64), instances),
+            **{name: getattr(dataset, name).raw for name in WHOLE},
         }
         for name, kept in linked.items():
             table = getattr(dataset, name)
-            tables[name] = mended_rows(table, np.flatnonzero(kept), mended_links(table, kept))
+            tables[name] = table.runs(np.flatnonzero(kept), mended_links(table, kept))
         for name, texts in tables.items():
             write_rows(folder / f"{name}.json", texts)
         yield root, int(np.count_nonzero(annotations))
