@@ -33,8 +33,8 @@ class Common:
 
     def identity(self) -> dict[str, Any]:
         """For the plan's digest and the provenance file; the order of the rigs does not matter."""
-        rigs = sorted((rig.digest, rig.name) for rig in self.rigs)
-        return {"rigs": [{"name": name, "digest": digest} for digest, name in rigs], "sweep_m": self.sweep_m}
+        rigs = sorted(f"{rig.name} {rig.digest[:16]}" for rig in self.rigs)
+        return {"common_with": rigs, "common_sweep_m": self.sweep_m}
 
 
 def with_own_rig(common: Common, dataset: Dataset, options: Options) -> tuple[Common, list[str]]:

@@ -115,8 +115,7 @@ class Plan:
             "version": __version__,
             "source": {"version": self.dataset.version, "digest": self.dataset.digest},
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
-            "options": self.options.identity(),
-            **({"common": self.common.identity()} if self.common else {}),
+            "options": self.options.identity() | (self.common.identity() if self.common else {}),
             **self.toolchain.identity,
         }
 

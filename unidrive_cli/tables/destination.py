@@ -352,12 +352,12 @@ def _difference(held: dict[str, Any], wanted: dict[str, Any]) -> str:
     differences = []
     for group, new in wanted.items():
         old = held.get(group) or {}
-        for name in new if isinstance(new, dict) and isinstance(old, dict) else ():
-            if old.get(name) != new[name]:
+        for name in {**new, **old} if isinstance(new, dict) and isinstance(old, dict) else ():
+            if old.get(name) != new.get(name):
                 if name == "digest":
                     differences.append(f"another {group}")
                 else:
-                    differences.append(f"{name} {old.get(name)!r}, now {new[name]!r}")
+                    differences.append(f"{name} {old.get(name)!r}, now {new.get(name)!r}")
     if not differences:
         differences.append("another version of unidrive")
     return "; ".join(dict.fromkeys(differences))
