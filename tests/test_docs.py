@@ -14,7 +14,10 @@ from typer.testing import CliRunner
 
 from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.cli.main import app
-from unidrive_cli.rig.gallery import gallery_names
+from unidrive_cli.optimize.objective import Penalties
+from unidrive_cli.optimize.search_file import load_search
+from unidrive_cli.rig.fleet import load_fleet
+from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.yaml_file import parse_rig
 
 ROOT = Path(__file__).parents[1]
@@ -74,12 +77,29 @@ def test_make_targets_that_the_readme_names_exist() -> None:
 
 
 def test_the_rig_file_of_the_docs_is_valid() -> None:
-    text, with_lenses = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
+    text, with_lenses, _ = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
     lenses = [camera.lens for camera in parse_rig(with_lenses, "docs/rig-files.md").cameras]
     assert [lens.model for lens in lenses] == ["opencv", "fisheye"]
     rig = parse_rig(text, "docs/rig-files.md")
     assert rig.channels == ("CAM_FRONT", "CAM_BACK")
     assert rig.cameras[1].yaw_pitch_roll_deg[0] == pytest.approx(180)
+
+
+def test_the_fleet_file_of_the_docs_is_valid(tmp_path: Path) -> None:
+    (*_, text) = code_blocks(ROOT / "docs" / "rig-files.md", "yaml")
+    (tmp_path / "fleet.yaml").write_text(text)
+    asked: list[str] = []
+    fleet = load_fleet(tmp_path / "fleet.yaml", lambda name: asked.append(name) or load_gallery_rig("6x60"))
+    assert asked == [f"{tmp_path}/fleet-rig.yaml", "/data/sedan", f"{tmp_path}/van.yaml"]
+    assert (fleet.common, fleet.virtual.depth_limit_m) == (True, 40)
+
+
+def test_the_search_file_of_the_docs_is_valid(tmp_path: Path) -> None:
+    (text,) = code_blocks(ROOT / "docs" / "optimise.md", "yaml")
+    (tmp_path / "search.yaml").write_text(text)
+    found = load_search(tmp_path / "search.yaml", load_gallery_rig)
+    assert found.penalties == Penalties()
+    assert len(found.space.parameters) == 4 + 1 + 1 + 1
 
 
 def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
