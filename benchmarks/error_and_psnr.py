@@ -1,7 +1,7 @@
 """Does a lower projection error mean a better picture? The table of docs/measure.md.
 
-    python benchmarks/error_and_psnr.py [--rigs N] [--scenes N] [--keyframes N] [--seed N] [--jobs N] [--work FOLDER]
-                                        [--out FILE]
+    python benchmarks/error_and_psnr.py [--rigs N] [--scenes N] [--keyframes N] [--depths D0 ...] [--seed N]
+                                        [--jobs N] [--work FOLDER] [--out FILE]
 
 Draws random virtual rigs of six cameras (places, yaws, field of view, depth limit), renders one synthetic drive
 through one source rig (cameras firing as nuScenes' do) and directly through each of them (all at the sample's
@@ -40,7 +40,7 @@ CHANNELS = {
     "CAM_BACK_RIGHT": -120,
 }
 SIZE_PX = (400, 225)
-DEPTHS_M = (12.0, 20.0, 35.0, 60.0, 100.0)
+DEPTHS_M = (12.0, 25.0, 50.0, 100.0)
 ERRORS = ("blended", "pairs")
 REGIONS = ("overall", "objects")
 RESAMPLED = 5000
@@ -118,15 +118,17 @@ def measured(chosen: argparse.Namespace, work: Path) -> dict[str, Any]:
     found: list[dict[str, Any]] = []
     for rig in rigs:
         truth = work / "truth" / (rig.name if len(rigs) > 1 else "")
-        depths = (rig.depth_limit_m or 50.0, *DEPTHS_M)
+        depths = (rig.depth_limit_m or 50.0, *chosen.depths)
         own, *others = (figures(work / "source", rig, truth, depth, chosen.jobs) for depth in depths)
         found.append({"rig": rig.name, "hfov_deg": rig.cameras[0].pinhole.hfov_deg, **own, "by_depth": others})
-    groups = {"rigs": [found], "depth limit alone": [one["by_depth"] for one in found]}
+    groups = {"rigs": [found]}
+    if len(chosen.depths) > 2:
+        groups["depth limit alone"] = [one["by_depth"] for one in found]
     correlations = {
         name: {e: {r: correlation(group, e, r, chosen.seed) for r in REGIONS} for e in ERRORS}
         for name, group in groups.items()
     }
-    return {"drive": drive, "rigs": found, "correlations": correlations}
+    return {"drive": drive, "depths_m": list(chosen.depths), "rigs": found, "correlations": correlations}
 
 
 def table(results: dict[str, Any]) -> str:
@@ -143,6 +145,7 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=24)
     parser.add_argument("--scenes", type=int, default=2)
     parser.add_argument("--keyframes", type=int, default=2)
+    parser.add_argument("--depths", type=float, nargs="*", default=DEPTHS_M, help="limits that every rig gets too")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--work", type=Path, help="keep the rendered drives there; a rerun continues")
