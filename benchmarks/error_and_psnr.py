@@ -6,8 +6,8 @@
 Draws random virtual rigs of six cameras (places, yaws, field of view, depth limit), renders one synthetic drive
 through one source rig (cameras firing as nuScenes' do) and directly through each of them (all at the sample's
 time), and compares each rig's projection error on the drive's boxes with the PSNR of what the source's pictures
-give through it. Prints Spearman's rank correlations, with intervals of 95 % from resampled rigs: of all rigs with
-a depth limit of their own, and with the depth limit alone going through a range on every rig. --out writes JSON.
+give through it. Prints Spearman's rank correlations, with intervals of 95 % from resampled rigs: as they are, and
+with the ranks of depth limit and field of view held fixed (partial correlations). --out writes all figures as JSON.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from unidrive_cli.measure.projection import measure_projection
 from unidrive_cli.measure.truth import measure_rendered
@@ -40,7 +40,7 @@ CHANNELS = {
     "CAM_BACK_RIGHT": -120,
 }
 SIZE_PX = (400, 225)
-DEPTHS_M = (12.0, 20.0, 35.0, 60.0, 100.0)
+HELD: tuple[tuple[str, ...], ...] = ((), ("depth_limit_m",), ("depth_limit_m", "hfov_deg"))
 ERRORS = ("blended", "pairs")
 REGIONS = ("overall", "objects")
 RESAMPLED = 5000
@@ -86,25 +86,22 @@ def figures(source: Path, rig: Rig, truth: Path, depth_m: float, jobs: int) -> d
     }
 
 
-def correlation(groups: list[list[dict[str, Any]]], error: str, region: str, seed: int) -> dict[str, float]:
-    """Spearman's rho within each group, their mean; its interval from resampled rigs (the groups, or the only one's
-    members)."""
-    values = [np.array([[one["error"][error], one["psnr"][region]] for one in group]) for group in groups]
-    rng = np.random.default_rng(seed)
+def correlation(
+    rigs: list[dict[str, Any]], error: str, region: str, held: tuple[str, ...], seed: int
+) -> dict[str, float]:
+    """Spearman's rho of the rigs' errors and PSNR, the ranks of what is held taken out of both; and its interval."""
+    columns = [[one["error"][error], one["psnr"][region], *(one[name] for name in held)] for one in rigs]
+    rows, rng = np.array(columns, dtype=np.float64), np.random.default_rng(seed)
 
-    def rho(rows: np.ndarray) -> float:
-        return float(spearmanr(rows[:, 0], rows[:, 1]).statistic)
+    def rho(some: np.ndarray) -> float:
+        ranks = rankdata(some, axis=0)
+        known = np.column_stack([np.ones(len(ranks)), ranks[:, 2:]])
+        left = ranks[:, :2] - known @ np.linalg.lstsq(known, ranks[:, :2], rcond=None)[0]
+        return float(np.corrcoef(left.T)[0, 1])
 
-    if len(values) == 1:
-        (rows,) = values
-        draws = [rho(rows[rng.integers(0, len(rows), len(rows))]) for _ in range(RESAMPLED)]
-        middle = rho(rows)
-    else:
-        each = np.array([rho(rows) for rows in values])
-        draws = [float(each[rng.integers(0, len(each), len(each))].mean()) for _ in range(RESAMPLED)]
-        middle = float(each.mean())
+    draws = [rho(rows[rng.integers(0, len(rows), len(rows))]) for _ in range(RESAMPLED)]
     low, high = np.nanquantile(draws, [0.025, 0.975])
-    return {"rho": round(middle, 3), "low": round(float(low), 3), "high": round(float(high), 3)}
+    return {"rho": round(rho(rows), 3), "low": round(float(low), 3), "high": round(float(high), 3)}
 
 
 def measured(chosen: argparse.Namespace, work: Path) -> dict[str, Any]:
@@ -118,19 +115,20 @@ def measured(chosen: argparse.Namespace, work: Path) -> dict[str, Any]:
     found: list[dict[str, Any]] = []
     for rig in rigs:
         truth = work / "truth" / (rig.name if len(rigs) > 1 else "")
-        depths = (rig.depth_limit_m or 50.0, *DEPTHS_M)
-        own, *others = (figures(work / "source", rig, truth, depth, chosen.jobs) for depth in depths)
-        found.append({"rig": rig.name, "hfov_deg": rig.cameras[0].pinhole.hfov_deg, **own, "by_depth": others})
-    groups = {"rigs": [found], "depth limit alone": [one["by_depth"] for one in found]}
+        own = figures(work / "source", rig, truth, rig.depth_limit_m or 50.0, chosen.jobs)
+        found.append({"rig": rig.name, "hfov_deg": rig.cameras[0].pinhole.hfov_deg, **own})
     correlations = {
-        name: {e: {r: correlation(group, e, r, chosen.seed) for r in REGIONS} for e in ERRORS}
-        for name, group in groups.items()
+        " and ".join(held) or "nothing": {
+            error: {region: correlation(found, error, region, held, chosen.seed) for region in REGIONS}
+            for error in ERRORS
+        }
+        for held in HELD
     }
     return {"drive": drive, "rigs": found, "correlations": correlations}
 
 
 def table(results: dict[str, Any]) -> str:
-    lines = ["| what varies | error (mean) | PSNR overall | PSNR of objects |", "| --- | --- | --- | --- |"]
+    lines = ["| held fixed | error (mean) | PSNR overall | PSNR of objects |", "| --- | --- | --- | --- |"]
     for name, by_error in results["correlations"].items():
         for error, by_region in by_error.items():
             cells = (f"{one['rho']:+.2f} ({one['low']:+.2f} to {one['high']:+.2f})" for one in by_region.values())

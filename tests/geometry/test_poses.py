@@ -20,6 +20,7 @@ from unidrive_cli.geometry.poses import (
     relative,
     rotation_from_quaternion,
     rotation_from_yaw_pitch_roll,
+    rotations_from_quaternions,
     transform,
     turn_rad,
     yaw_pitch_roll_from_rotation,
@@ -244,3 +245,17 @@ def test_check_pose_wants_the_last_row(value: float) -> None:
     matrix = np.diag([1.0, 1.0, 1.0, value])
     with pytest.raises(GeometryError, match="ego_from_cam must end with the row 0 0 0 1"):
         check_pose(matrix, "ego_from_cam")
+
+
+@given(st.lists(units(4), min_size=1, max_size=5), reals(0.1, 10.0))
+def test_rotations_of_many_quaternions(quaternions: list[np.ndarray], norm: float) -> None:
+    expected = [Quaternion(quaternion).rotation_matrix for quaternion in quaternions]
+    found = rotations_from_quaternions(norm * np.array(quaternions))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@given(st.lists(poses(), min_size=1, max_size=4), vectors(3, 100.0))
+def test_a_pose_for_each_point(many: list[np.ndarray], point: np.ndarray) -> None:
+    points = np.array([point + index for index in range(len(many))])
+    expected = [transform(one, place) for one, place in zip(many, points, strict=True)]
+    np.testing.assert_allclose(transform(np.array(many), points), expected, atol=1e-10)
