@@ -16,8 +16,9 @@ from unidrive_cli.check.references import check_references
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables import dataset as dataset_module
 from unidrive_cli.tables.dataset import Dataset, open_dataset
-from unidrive_cli.tables.scanned import SCANNED, ScannedTable
-from unidrive_cli.tables.table import EMPTY, NOWHERE, ListedTable
+from unidrive_cli.tables.scanned import SCANNED, ScannedTable, _File
+from unidrive_cli.tables.schema import Row
+from unidrive_cli.tables.table import EMPTY, NOWHERE, ListedTable, write_rows
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +79,12 @@ def test_a_scanned_table_says_what_a_read_one_says(painted: Path, monkeypatch: p
     ]:
         links = [getattr(dataset, name).links(field, getattr(dataset, target)) for dataset in (read, scanned)]
         np.testing.assert_array_equal(*links)
+        for empty in (False, True):
+            rows = [
+                getattr(dataset, name).unlinked(field, getattr(dataset, target), empty=empty)
+                for dataset in (read, scanned)
+            ]
+            np.testing.assert_array_equal(*rows)
     for name, field in [("ego_pose", "rotation"), ("sample_annotation", "size"), ("ego_pose", "translation")]:
         numbers = [getattr(dataset, name).numbers(field) for dataset in (read, scanned)]
         np.testing.assert_array_equal(*numbers)
@@ -99,6 +106,69 @@ def test_a_conversion_is_the_same_bytes(painted: Path, tmp_path: Path, monkeypat
         bench.convert("--on-error", "skip", "--unseen-boxes", "drop", "--jobs", 0)
         trees.append(tree(bench.dst, ("run.json",)))
     assert trees[0] == trees[1]
+
+
+def test_rows_that_lead_to_rows_that_leave(painted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, scanned = both(painted, monkeypatch)
+    kept = np.ones(len(read.sample_data.rows), dtype=bool)
+    kept[4] = False
+    before, after = read.sample_data.rows[4].prev, read.sample_data.rows[4].next
+    assert before
+    assert after
+    for dataset in (read, scanned):
+        table = dataset.sample_data
+        for field, neighbour in (("next", before), ("prev", after)):
+            assert [row.token for row in table.rows_at(table.leading_out(field, kept))] == [neighbour]
+        assert table.leading_out("next", np.ones_like(kept)).tolist() == []
+
+
+@pytest.mark.usefixtures("scanning")
+@pytest.mark.parametrize("separator", [",\n", ", ", "\n,", " , ", ","])
+def test_rows_are_written_as_they_stand_but_for_their_changes(tmp_path: Path, separator: str) -> None:
+    made = tables()
+    root = write(tmp_path, made)
+    texts = [json.dumps(row, indent=1) for row in made["sample_data"]]
+    (root / VERSION / "sample_data.json").write_text(f"[{separator.join(texts)}]")
+    table = open_dataset(root).sample_data
+    assert isinstance(table, ScannedTable)
+    assert list(table.rows) == list(open_dataset(write(tmp_path / "plain")).sample_data.rows)
+    indices, changes = np.array([0, 1, 3, 4, 5, 2]), {1: {"timestamp": 7}, 5: {"new": ""}}
+    assert write_rows(tmp_path / "written.json", table.runs(indices, changes)) == len(indices)
+    mended = [
+        json.dumps(made["sample_data"][index] | changes[index], separators=(",", ":"))
+        if index in changes
+        else texts[index]
+        for index in indices.tolist()
+    ]
+    assert (tmp_path / "written.json").read_text() == "[\n" + ",\n".join(mended) + "\n]\n"
+
+
+@pytest.mark.usefixtures("scanning")
+def test_only_some_fields_of_a_row(tmp_path: Path) -> None:
+    """What is not asked for is not looked at; what is asked for must be right, and is named as it is elsewhere."""
+
+    class Place(Row, frozen=True):
+        translation: tuple[float, float, float]
+
+    class Wrong(Row, frozen=True):
+        translation: tuple[str, str, str]
+
+    root = write(tmp_path, tables())
+    table = open_dataset(root).ego_pose
+    parts = list(table.parts_at(np.array([2, 0]), Place))
+    assert parts == [Place(row.token, row.translation) for row in (table.rows[2], table.rows[0])]
+    with pytest.raises(DatasetError, match=rf"row 2, token {table.rows[2].token}, field translation\[0\]"):
+        list(table.parts_at(np.array([2, 0]), Wrong))
+
+
+@pytest.mark.usefixtures("scanning")
+def test_a_digest_of_a_file_that_has_changed(tmp_path: Path) -> None:
+    path = write(tmp_path, tables()) / VERSION / "ego_pose.json"
+    file = _File(path)
+    path.write_bytes(path.read_bytes() + b" ")
+    file.hash()
+    with pytest.raises(DatasetError, match=r"ego_pose\.json: was changed while it was being used"):
+        _ = file.digest
 
 
 DANGLING: list[tuple[str, str, Any]] = [

@@ -22,7 +22,7 @@ _GRID = box_geometry.volume_grid(5)
 _MIN_SHARE = 1e-3
 
 
-class Box2d(msgspec.Struct, frozen=True, array_like=True):
+class Box2d(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """The part of a box inside a virtual picture: indices of camera and annotation, then pixels."""
 
     camera: int

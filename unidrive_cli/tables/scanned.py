@@ -400,7 +400,7 @@ class _Store:
     def columns(self, name: str, fields: Sequence[str]) -> Float:
         """(n, k) float64 columns of a loaded table."""
         found = self._fetch(f"select {', '.join(fields)} from {name}")
-        return np.stack([np.asarray(found[field], dtype=np.float64) for field in fields], axis=1)
+        return np.stack([np.asarray(found[field], dtype=np.float64) for field in fields]).T
 
     def folders(self, name: str) -> tuple[list[str], Indices]:
         """The folders of plain file names ('' for all others), and the number of each row's folder."""
