@@ -28,7 +28,7 @@ MAY_IMPORT = {  # besides errors and the room itself
     "warp": "geometry rig",
     "convert": "workers cluster geometry rig tables check warp",
     "measure": "workers geometry rig tables warp",
-    "optimize": "workers geometry rig tables warp measure",
+    "optimize": "geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
     "report": "workers geometry rig tables check warp measure",
     "machine": "workers cluster geometry rig tables check warp convert synth",

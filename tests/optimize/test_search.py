@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from tests.optimize.fleet import boxes_around, gallery_cars, pair, place_space
 from unidrive_cli.errors import OutputError, UsageError
 from unidrive_cli.optimize.objective import Car, Objective, Penalties
 from unidrive_cli.optimize.search import Best, Effort, Search
+from unidrive_cli.optimize.space import Parameter, SearchSpace
+from unidrive_cli.rig.model import Rig
 
 
 def objective(count: int = 60) -> Objective:
@@ -131,6 +134,18 @@ def test_a_log_that_cannot_be_written(tmp_path: Path) -> None:
 def test_efforts_that_cannot_be(effort: dict[str, int], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         Effort(**effort)
+
+
+def test_one_camera_for_one_camera(tmp_path: Path) -> None:
+    def alone(x: float) -> Rig:
+        whole = pair(x=x, z=1.6)
+        return replace(whole, cameras=whole.cameras[:1])
+
+    space = SearchSpace(alone(1.0), 50.0, (Parameter("x", ("CAM_FRONT",), 0.0, 2.0, 0.1),), {})
+    single = Objective([Car(alone(1.3), boxes_around(60))], Penalties(), 0.0)
+    *_, best = Search(space, single, Effort(evaluations=60)).run(tmp_path / "log", resume=False, identity="it")
+    assert best.values.tolist() == [1.3]
+    assert best.total == pytest.approx(0, abs=1e-9)
 
 
 def test_several_cars_are_served_better_than_by_the_start(tmp_path: Path) -> None:
