@@ -56,7 +56,7 @@ class OpenCVRenderer:
             for path, source in zip(paths, sources, strict=True)
         ]
         for view in self.tables(sources):
-            yield VirtualPicture(encode_jpeg(view.render(pictures), quality), view.mask)
+            yield VirtualPicture(encode_jpeg(view.render(pictures), quality), view.mask, cv2.countNonZero(view.mask))
 
     def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
         """The remap tables of all virtual cameras for these sources."""
