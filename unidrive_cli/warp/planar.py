@@ -38,7 +38,8 @@ class PlanarRenderer:
             RigError: a virtual camera below the ground, or a depth limit below its height.
         """
         views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
-        self._canvases = [Canvas(view) for view in views]
+        memory = np.empty(max(Canvas.bytes_of(view.camera.lens) for view in views), dtype=np.uint8)
+        self._canvases = [Canvas(view, memory) for view in views]
         self._nearest = choices.blend == "nearest"
         self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
         self._atlas: Atlas | None = None
@@ -124,10 +125,14 @@ class Canvas:
         covered_px: how many pixels of the picture that was drawn last a source saw.
     """
 
-    def __init__(self, view: VirtualView) -> None:
+    def __init__(self, view: VirtualView, memory: Bytes | None = None) -> None:
+        """
+        Args:
+            memory: at least `bytes_of` the lens, to be used instead of its own: canvases that are encoded before
+                the next is drawn share it, and it stays in the cache.
+        """
         lens = view.camera.pinhole
         width, height = lens.width_px, lens.height_px
-        chroma = _half(width) * _half(height)
         ground, centre = view.half_ball.ground, view.half_ball.centre_ego
         self.view = view
         self.scene = np.array(
@@ -144,11 +149,16 @@ class Canvas:
         ]
         self._xs32 = [np.append(xs, np.zeros(fused.LANES)).astype(np.float32) for xs in self.xs]
         self.ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
-        self._memory = np.empty(width * height + 2 * chroma + 3 * fused.LANES, dtype=np.uint8)
+        self._memory = np.empty(self.bytes_of(lens), dtype=np.uint8) if memory is None else memory
         self._covered = np.empty(width * height, dtype=np.uint8)
         self.covered_px = 0
         self._scratch: tuple[npt.NDArray[np.generic], ...] = ()
         self._sources = 0
+
+    @staticmethod
+    def bytes_of(lens: Lens) -> int:
+        """What the three planes of a picture take, with their padding."""
+        return lens.width_px * lens.height_px + 2 * _half(lens.width_px) * _half(lens.height_px) + 3 * fused.LANES
 
     @property
     def mask(self) -> Mask:
