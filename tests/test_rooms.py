@@ -28,7 +28,7 @@ MAY_IMPORT = {  # besides errors and the room itself
     "warp": "geometry rig",
     "convert": "workers cluster geometry rig tables check warp",
     "measure": "workers geometry rig tables warp",
-    "optimize": "geometry rig tables warp measure",
+    "optimize": "workers geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
     "report": "workers geometry rig tables check warp measure",
     "machine": "workers cluster geometry rig tables check warp convert synth",
@@ -41,7 +41,7 @@ TYPE_MAKERS = {"TypeVar", "ParamSpec", "NewType"}
 MUTATORS = {"append", "extend", "insert", "remove", "pop", "popitem", "clear", "update", "setdefault", "add"}
 DECLARED = {  # the only things alive at module level, each on purpose
     ("cli/main.py", "app"),  # typer collects the commands on it while it is imported
-    ("warp/planar.py", "_border_normals"),  # memo of a pure function
+    ("warp/planar.py", "_forms"),  # memo of a pure function
     ("warp/render.py", "_has_numba"),  # what is installed does not change while a process runs
     ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process

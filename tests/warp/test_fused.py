@@ -188,6 +188,7 @@ def test_masks_and_levels_of_any_sources(virtual: Camera, real: list[Camera], bl
     canvas = drawn(view, sources, lumas, blend=blend)
     mask = coverage(view, build_patches(view, sources, "angular"))
     np.testing.assert_array_equal(canvas.mask, mask)
+    assert canvas.covered_px == np.count_nonzero(mask)
     np.testing.assert_array_equal(canvas.planes[0], np.where(mask > 0, 150, 0))
 
 

@@ -52,7 +52,7 @@ _SHARED_CHUNK = 120
 _NODE_STEP = 8
 """Shares of overlapping sources are computed at every eighth pixel of a row, and linear between,"""
 _STEEP = 0.1
-"""unless they change by more than this from one to the next: then at every pixel."""
+"""unless they change by more than this from one to the next: then at every fourth, second or single pixel."""
 
 LIMITS, LUMA, CHROMA, BORDERS, POINT, ASIDE = 0, 5, 8, 11, 15, 18
 """Rows of a source's model, all but the last forms with the columns x, y, 1, w.
@@ -97,6 +97,28 @@ def _prefetch(typingctx: Any, array: Any, index: Any) -> Any:
         kind = ir.FunctionType(ir.VoidType(), [place.type, i32, i32, i32])
         function = builder.module.declare_intrinsic("llvm.prefetch", [place.type], kind)
         builder.call(function, [place, i32(0), i32(2), i32(1)])
+
+    return signature, codegen
+
+
+@intrinsic
+def _store_ramp(typingctx: Any, array: Any, index: Any, value: Any, step: Any) -> Any:
+    """Writes value, value + step, ... into LANES places of a float32 array from the flat `index` on."""
+    signature = types.void(array, types.uint64, types.float32, types.float32)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        vector = ir.VectorType(ir.FloatType(), LANES)
+
+        def everywhere(number: Any) -> Any:
+            one = builder.insert_element(ir.Constant(vector, ir.Undefined), number, ir.IntType(32)(0))
+            lanes = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+            return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), lanes)
+
+        places = ir.Constant(vector, [float(place) for place in range(LANES)])
+        ramp = builder.fadd(everywhere(arguments[2]), builder.fmul(places, everywhere(arguments[3])))
+        place = builder.bitcast(builder.gep(data, [arguments[1]]), vector.as_pointer())
+        builder.store(ramp, place, align=4)
 
     return signature, codegen
 
@@ -285,41 +307,33 @@ def _choose_largest(among, n, floats):
 
 @njit(**_TIGHT)
 def _summarise(among, n, floats):
-    """Notes the largest share of each source; returns the largest step of any from one node to the next."""
-    steepest = _i4(0)
+    """Notes the largest share of each source; returns the largest step of any from one node to the next.
+
+    In whole numbers, whose largest vector instructions find.
+    """
+    scale, steepest = _f4(1 << 20), _i4(0)
     for k in range(among):
         row = _WEIGHTS + k
         most = _i4(0)
         for i in range(_u8(n)):
-            share = _i4(floats[row, i] * _f4(1 << 20))
+            share = _i4(floats[row, i] * scale)
             most = share if share > most else most
         for i in range(_u8(n - 1)):
-            step = _i4((floats[row, i + _u8(1)] - floats[row, i]) * _f4(1 << 20))
+            step = _i4((floats[row, i + _u8(1)] - floats[row, i]) * scale)
             step = step if step > _i4(0) else _i4(-step)
             steepest = step if step > steepest else steepest
         floats[_LARGEST, k] = _f4(most)
-    return _f4(steepest) * _f4(1 / (1 << 20))
-
-
-@njit(inline="always", **_OPTIONS)
-def _spread_by(floats, weights, n, apart, shares):
-    for i in range(_u8(n)):
-        value = floats[weights, i]
-        step = (floats[weights, i + _u8(1)] - value) * _f4(1 / apart)
-        at = i * _u8(apart)
-        for place in range(_u8(apart)):
-            floats[shares, at + place] = value + _f4(_i4(place)) * step
+    return _f4(steepest) / scale
 
 
 @njit(**_TIGHT)
 def _spread(floats, weights, n, apart, shares):
-    """Shares between nodes that are `apart` pixels apart, linear, of `n` intervals."""
-    if apart == 8:
-        _spread_by(floats, weights, n, 8, shares)
-    elif apart == 4:
-        _spread_by(floats, weights, n, 4, shares)
-    else:
-        _spread_by(floats, weights, n, 2, shares)
+    """Shares between nodes that are `apart` pixels apart (LANES at most), linear, of `n` intervals."""
+    columns, part = _u8(floats.shape[1]), _f4(1) / _f4(apart)
+    for i in range(_u8(n)):
+        value = floats[weights, i]
+        step = (floats[weights, i + _u8(1)] - value) * part
+        _store_ramp(floats, _u8(shares) * columns + i * _u8(apart), value, step)
 
 
 @njit(**_INNER)
@@ -330,7 +344,7 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
     """
     first_share = _WEIGHTS + models.shape[0]
     spacing = xs[1] - xs[0]
-    apart, checked = 1 if nearest else _NODE_STEP, False
+    apart, chosen = 1 if nearest else _NODE_STEP, False
     while True:
         nodes = _whole_lanes(n if apart == 1 else (n + apart - 1) // apart + 1)
         _place_nodes(xs[start], _f4(apart) * spacing, nodes, y, scene, floats)
@@ -341,10 +355,10 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
         else:
             _share(among, nodes, _f4(scene[MIN_SHARE]), floats)
         steepest = _summarise(among, nodes, floats)
-        if checked or apart == 1 or steepest <= _f4(_STEEP):
+        if chosen or apart == 1 or steepest <= _f4(_STEEP):
             break
         apart = 4 if steepest <= _f4(2 * _STEEP) else (2 if steepest <= _f4(4 * _STEEP) else 1)
-        checked = True
+        chosen = True
     left = 0
     for k in range(among):
         if floats[_LARGEST, k] > 0:
@@ -526,8 +540,11 @@ def _draw_row(
     xs64, xs, y, sources, source_count, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size,
     covered, covered_at, runs, cuts, covering, seen, ints, taps, floats
 ):  # fmt: skip
-    """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`."""
-    width = xs64.size
+    """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`.
+
+    Returns the number of its pixels that a source sees.
+    """
+    width, seen_pixels = xs64.size, 0
     count = _runs(xs64, y, scene, models, sources, source_count, runs, seen)
     number = _cuts(runs, count, width, cuts)
     if count:
@@ -538,6 +555,7 @@ def _draw_row(
         if start == stop:
             continue
         among = _covering(runs, count, start, stop, covering)
+        seen_pixels += stop - start if among else 0
         if not chroma:
             _fill(covered, covered_at + start, covered_at + stop, np.uint8(255 if among else 0))
         if among == 0:
@@ -570,6 +588,7 @@ def _draw_row(
                 if among > 1:
                     _store_totals(floats, padded, canvas, line + start)
             start += n
+    return seen_pixels
 
 
 @njit(**_OPTIONS)
@@ -592,19 +611,25 @@ def draw_view(
             source sees the pixel.
         covered: (H W,) uint8 result, 255 where one does.
         runs, cuts, sources, covering, seen, ints, taps, floats: memory to work in, of the shapes of `scratch`.
+
+    Returns:
+        How many pixels a source sees.
     """
     height, width, chroma_width = ys.size, xs.size, xs_chroma.size
     chroma_size = ys_chroma.size * chroma_width + LANES
     count = _possible_sources(xs, ys, scene, models, sources)
+    seen_pixels = 0
     for row in range(height):
         for chroma in range(1 if row % 2 else 2):
             half = row // 2
-            _draw_row(
+            in_row = _draw_row(
                 xs_chroma if chroma else xs, xs_chroma32 if chroma else xs32, ys_chroma[half] if chroma else ys[row],
                 sources, count, scene, models, layout, nearest, atlas, chroma, canvas,
                 height * width + LANES + half * chroma_width if chroma else row * width, chroma_size,
                 covered, row * width, runs, cuts, covering, seen, ints, taps, floats,
             )  # fmt: skip
+            seen_pixels += 0 if chroma else in_row
+    return seen_pixels
 
 
 def scratch(width_px: int, sources: int) -> tuple[Array, ...]:

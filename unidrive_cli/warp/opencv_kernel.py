@@ -65,7 +65,7 @@ class OpenCVRenderer:
             if blanks:
                 blanks.cover(tables.mask)
                 blanks.blank(picture)
-            yield VirtualPicture(encode_jpeg(picture, quality), tables.mask)
+            yield VirtualPicture(encode_jpeg(picture, quality), tables.mask, cv2.countNonZero(tables.mask))
 
     def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
         """The remap tables of all virtual cameras for these sources."""

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import simplejpeg
@@ -13,7 +14,7 @@ import simplejpeg
 from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.blending import BORDER_FLOOR, PARALLAX_FLOOR
-from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Pinhole
+from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Lens, Pinhole
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
@@ -40,7 +41,8 @@ class PlanarRenderer:
             RigError: a virtual camera below the ground, or a depth limit below its height.
         """
         views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
-        self._canvases = [Canvas(view) for view in views]
+        memory = np.empty(max(Canvas.bytes_of(view.camera.lens) for view in views), dtype=np.uint8)
+        self._canvases = [Canvas(view, memory) for view in views]
         self._blanks = blanks_of(common, len(views))
         self._nearest = choices.blend == "nearest"
         self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
@@ -58,10 +60,12 @@ class PlanarRenderer:
                 self._atlas.load(index, path, self._turbo)
         for canvas, blanks in zip(self._canvases, self._blanks, strict=True):
             canvas.draw(self._atlas, sources, nearest=self._nearest)
+            covered_px = canvas.covered_px
             if blanks:
                 blanks.cover(canvas.mask)
                 blanks.blank_planes(canvas.planes)
-            yield VirtualPicture(self._encode(canvas.planes, quality), canvas.mask)
+                covered_px = cv2.countNonZero(canvas.mask)
+            yield VirtualPicture(self._encode(canvas.planes, quality), canvas.mask, covered_px)
 
     def _encode(self, planes: Planes, quality: int) -> bytes:
         if self._turbo:
@@ -127,12 +131,17 @@ class Canvas:
         view: the virtual camera.
         scene: (7,) float64, see `fused.PER_LENGTH`.
         xs, ys: coordinates of the pixels, and of the chroma samples, on the plane z = 1; (n,) float64 each.
+        covered_px: how many pixels of the picture that was drawn last a source saw.
     """
 
-    def __init__(self, view: VirtualView) -> None:
+    def __init__(self, view: VirtualView, memory: Bytes | None = None) -> None:
+        """
+        Args:
+            memory: at least `bytes_of` the lens, to be used instead of its own: canvases that are encoded before
+                the next is drawn share it, and it stays in the cache.
+        """
         lens = view.camera.pinhole
         width, height = lens.width_px, lens.height_px
-        chroma = _half(width) * _half(height)
         ground, centre = view.half_ball.ground, view.half_ball.centre_ego
         self.view = view
         self.scene = np.array(
@@ -149,10 +158,16 @@ class Canvas:
         ]
         self._xs32 = [np.append(xs, np.zeros(fused.LANES)).astype(np.float32) for xs in self.xs]
         self.ys = [(rows - lens.cy_px) / lens.fy_px for rows in (np.arange(float(height)), _chroma_places(height))]
-        self._memory = np.empty(width * height + 2 * chroma + 3 * fused.LANES, dtype=np.uint8)
+        self._memory = np.empty(self.bytes_of(lens), dtype=np.uint8) if memory is None else memory
         self._covered = np.empty(width * height, dtype=np.uint8)
+        self.covered_px = 0
         self._scratch: tuple[npt.NDArray[np.generic], ...] = ()
         self._sources = 0
+
+    @staticmethod
+    def bytes_of(lens: Lens) -> int:
+        """What the three planes of a picture take, with their padding."""
+        return lens.width_px * lens.height_px + 2 * _half(lens.width_px) * _half(lens.height_px) + 3 * fused.LANES
 
     @property
     def mask(self) -> Mask:
@@ -173,7 +188,7 @@ class Canvas:
         """Draws the picture and its mask."""
         if self._sources != len(sources):
             self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
-        fused.draw_view(
+        self.covered_px = fused.draw_view(
             self.xs[0],
             self._xs32[0],
             self.ys[0],
@@ -194,33 +209,28 @@ class Canvas:
 def source_models(view: VirtualView, sources: Sequence[Source]) -> Float:
     """What the kernel knows of each source: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
     models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
-    for model, source in zip(models, sources, strict=True):
-        lens = source.lens
-        if not isinstance(lens, Pinhole):
-            raise TypeError(f"the fused kernel takes pinhole sources, got {lens.model}")
-        points = (source.cam_from_ego @ view.camera.ego_from_cam)[:3]
-        depth = points[2]
-        u, v = lens.fx_px * points[0] + lens.cx_px * depth, lens.fy_px * points[1] + lens.cy_px * depth
-        low = 0.5 + PIXEL_TOLERANCE
-        right, bottom = lens.width_px - 0.5 + PIXEL_TOLERANCE, lens.height_px - 0.5 + PIXEL_TOLERANCE
-        model[fused.LIMITS : fused.LUMA] = (
-            u + low * depth,
-            right * depth - u,
-            v + low * depth,
-            bottom * depth - v,
-            depth,
-        )
-        model[fused.LUMA : fused.CHROMA] = u, v, depth
-        model[fused.CHROMA : fused.BORDERS] = 0.5 * u - 0.25 * depth, 0.5 * v - 0.25 * depth, depth
-        model[fused.BORDERS : fused.POINT] = _border_normals(lens) @ points
-        model[fused.POINT : fused.ASIDE] = points
-        model[fused.ASIDE, :3] = points[:, :3].T @ points[:, 3]
+    points = np.array([source.cam_from_ego for source in sources]).reshape(-1, 4, 4) @ view.camera.ego_from_cam
+    forms = np.array([_forms(_pinhole(source.lens)) for source in sources]).reshape(-1, fused.ASIDE, 3)
+    models[:, : fused.ASIDE] = forms @ points[:, :3]
+    models[:, fused.ASIDE, :3] = np.matmul(points[:, None, :3, 3], points[:, :3, :3])[:, 0]
     return models
 
 
+def _pinhole(lens: Lens) -> Pinhole:
+    if not isinstance(lens, Pinhole):
+        raise TypeError(f"the fused kernel takes pinhole sources, got {lens.model}")
+    return lens
+
+
 @functools.lru_cache(maxsize=256)
-def _border_normals(lens: Pinhole) -> Float:
-    return lens.border_normals()
+def _forms(lens: Pinhole) -> Float:
+    """The rows of a source's model as forms (ASIDE, 3) of a point in its frame."""
+    u, v, depth = lens.matrix
+    low = 0.5 + PIXEL_TOLERANCE
+    right, bottom = lens.width_px - 0.5 + PIXEL_TOLERANCE, lens.height_px - 0.5 + PIXEL_TOLERANCE
+    limits = u + low * depth, right * depth - u, v + low * depth, bottom * depth - v, depth
+    chroma = 0.5 * u - 0.25 * depth, 0.5 * v - 0.25 * depth, depth
+    return np.array([*limits, u, v, depth, *chroma, *lens.border_normals(), *np.eye(3)])
 
 
 def _half(size_px: int) -> int:

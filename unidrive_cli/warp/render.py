@@ -28,15 +28,17 @@ class VirtualPicture:
     Attributes:
         jpeg: the file.
         mask: (H, W) uint8, 255 where a source sees the pixel; the renderer may write over it in the next frame.
+        covered_px: how many pixels that are.
     """
 
     jpeg: bytes
     mask: Mask
+    covered_px: int
 
     @property
     def covered(self) -> float:
         """Share of the pixels that a source sees."""
-        return cv2.countNonZero(self.mask) / self.mask.size
+        return self.covered_px / self.mask.size
 
 
 class Renderer(Protocol):
