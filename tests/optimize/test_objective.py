@@ -51,9 +51,7 @@ def test_seeing_less_lowers_the_bare_sum_and_raises_the_objective(compiled: bool
 def test_a_rig_that_sees_nothing_costs_the_whole_penalty(compiled: bool) -> None:
     (car,) = gallery_cars("6x60")
     up = Camera("CAM_UP", Pinhole.from_hfov(60, 320, 180), pose(rotation_from_yaw_pitch_roll(0, 85, 0), [1, 0, 1.5]))
-    cost = Objective([car], Penalties(uncovered=3.0, unfilled=0.5), 0.0, compiled=compiled)(
-        Rig("up", "", (up,)), 50.0
-    )
+    cost = Objective([car], Penalties(3.0, 0.5, worst=0.0), 0.0, compiled=compiled)(Rig("up", "", (up,)), 50.0)
     assert (cost.error_m_rad, cost.uncovered, cost.rigs[0].pairs) == (0, 1, 0)
     assert cost.total == pytest.approx(3.0 + 0.5 * cost.not_common)
     assert cost.not_common > 0.9

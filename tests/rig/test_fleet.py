@@ -87,7 +87,7 @@ def test_mistakes(text: str, words: str, tmp_path: Path) -> None:
 def test_a_virtual_rig_with_distortion(tmp_path: Path) -> None:
     bent = OWN.replace("yaw: 0", "yaw: 0, distortion: {model: fisheye, coefficients: [0.01, 0, 0, 0]}")
     (tmp_path / "bent.yaml").write_text(bent)
-    with pytest.raises(UnidriveError, match=r"the virtual rig own has lens distortion \(CAM_FRONT\)"):
+    with pytest.raises(UnidriveError, match="virtual must be a rig of pinholes; CAM_FRONT of own has lens"):
         resolve_fleet(str(written(tmp_path, "name: a\nvirtual: bent.yaml\nsources: [4x95]\n")))
     fleet, _ = resolve_fleet(str(written(tmp_path, "name: a\nvirtual: 6x60\nsources: [bent.yaml]\n")))
     assert fleet.sources[0].cameras[0].lens.model == "fisheye"

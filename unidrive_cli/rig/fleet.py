@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ruamel.yaml.comments import CommentedMap
 
-from unidrive_cli.errors import RigError
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.rig.yaml_reading import check_keys, error_at, optional_number, parse_yaml, read_text, text_of
 
@@ -33,15 +32,6 @@ class Fleet:
     virtual: Rig
     sources: tuple[Rig, ...]
     common: bool
-
-    def __post_init__(self) -> None:
-        for camera in self.virtual.cameras:
-            if camera.lens.coefficients:
-                raise RigError(
-                    f"the virtual rig {self.virtual.name} has lens distortion ({camera.channel}); "
-                    "a virtual camera is a pinhole.",
-                    where=self.name,
-                )
 
 
 def is_fleet_file(path: Path) -> bool:
@@ -82,6 +72,10 @@ def load_fleet(path: Path, rig_named: Callable[[str], Rig]) -> Fleet:
         )
     ground_height_m = optional_number(document, "ground_height", where)
     virtual = rig_named(_resolved(text_of(document, "virtual", where), path))
+    for camera in virtual.cameras:
+        if camera.lens.coefficients:
+            what = f"must be a rig of pinholes; {camera.channel} of {virtual.name} has lens distortion."
+            raise error_at(document, "virtual", where, what)
     return Fleet(
         text_of(document, "name", where),
         replace(

@@ -151,7 +151,11 @@ def resolve_fleet(text: str, size_of_file: SizeOfFile | None = None) -> tuple[Fl
         RigError, DatasetError, UsageError: as `resolve_rig`, for the rigs of a fleet file too.
     """
     path, notes = Path(text), list[str]()
-    if path.suffix not in (".yaml", ".yml") or not path.is_file() or not is_fleet_file(path):
+    try:
+        is_fleet = path.suffix in (".yaml", ".yml") and path.is_file() and is_fleet_file(path)
+    except OSError as error:
+        raise RigError(f"cannot be read: {error}.", where=text[:200]) from error
+    if not is_fleet:
         rig, notes = resolve_rig(text, size_of_file=size_of_file)
         return Fleet(rig.name, rig, (), common=False), notes
 
