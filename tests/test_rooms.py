@@ -42,7 +42,7 @@ MUTATORS = {"append", "extend", "insert", "remove", "pop", "popitem", "clear", "
 DECLARED = {  # the only things alive at module level, each on purpose
     ("cli/main.py", "app"),  # typer collects the commands on it while it is imported
     ("warp/planar.py", "_forms"),  # memo of a pure function
-    ("warp/render.py", "_has_numba"),  # what is installed does not change while a process runs
+    ("warp/compiled.py", "has_numba"),  # what is installed does not change while a process runs
     ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process
 }

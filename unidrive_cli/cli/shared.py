@@ -171,7 +171,7 @@ def say_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -
             cell.ljust(width) if place < left else cell.rjust(width)
             for place, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
-        typer.echo("  ".join(cells))
+        typer.echo("  ".join(cells).rstrip())
 
 
 def human_bytes(count: float) -> str:

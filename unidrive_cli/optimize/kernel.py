@@ -14,19 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from unidrive_cli.warp.compiled import can_cache
+
 Array = npt.NDArray[Any]
 
 
-def _can_cache() -> bool:
-    """Whether compiled code can be kept: beside this file, in the user's cache folder or in NUMBA_CACHE_DIR."""
-    try:
-        njit(cache=True)(_can_cache)
-    except RuntimeError:
-        return False
-    return True
-
-
-_OPTIONS: dict[str, Any] = {"cache": _can_cache(), "error_model": "numpy", "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": can_cache(), "error_model": "numpy", "nogil": True}
 
 FX, FY, CX, CY, WIDTH, HEIGHT = range(6)
 """Columns of a lens."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Lens, Pinhole
 from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.geometry.projection_error import Sighting, point_errors, sight
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp.compiled import has_numba
 from unidrive_cli.warp.remap import VirtualView, virtual_views
 
 GRID = (40, 24)
@@ -165,7 +165,7 @@ class Objective:
         self.penalties = penalties
         self.ground_height_m = ground_height_m
         possible = all(car.all_pinholes for car in self.cars)
-        self.compiled = possible and _has_numba() if compiled is None else compiled
+        self.compiled = possible and has_numba() if compiled is None else compiled
 
     def __call__(self, rig: Rig, depth_limit_m: float) -> Cost:
         """The cost of a virtual rig.
@@ -323,11 +323,3 @@ def _filled(cars: Sequence[Car], view: VirtualView) -> Float:
         ]
     )
     return np.append(fills.mean(axis=(1, 2)), fills.all(axis=0).mean())
-
-
-def _has_numba() -> bool:
-    try:
-        metadata.version("numba")
-    except metadata.PackageNotFoundError:
-        return False
-    return True

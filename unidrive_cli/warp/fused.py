@@ -26,21 +26,14 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from unidrive_cli.warp.compiled import can_cache
+
 Array = npt.NDArray[Any]
 
 _f4, _i4, _u8 = np.float32, np.int32, np.uint64
 
 
-def _can_cache() -> bool:
-    """Whether compiled code can be kept: beside this file, in the user's cache folder or in NUMBA_CACHE_DIR."""
-    try:
-        njit(cache=True)(_can_cache)
-    except RuntimeError:
-        return False
-    return True
-
-
-_OPTIONS: dict[str, Any] = {"cache": _can_cache(), "error_model": "numpy", "nogil": True, "_nrt": False}
+_OPTIONS: dict[str, Any] = {"cache": can_cache(), "error_model": "numpy", "nogil": True, "_nrt": False}
 _INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _TIGHT = {**_INNER, "forceinline": True}
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -18,6 +16,7 @@ from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import turbojpeg
 from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
 from unidrive_cli.warp.common import CommonMasks
+from unidrive_cli.warp.compiled import has_numba
 from unidrive_cli.warp.remap import Mask, Source
 
 
@@ -90,7 +89,7 @@ def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchai
     Raises:
         UsageError: that is not here.
     """
-    numba = _has_numba()
+    numba = has_numba()
     if kernel == "numba" and not numba:
         raise UsageError("--kernel numba needs the package numba.", hint="pip install 'unidrive[fast]'.")
     if kernel == "opencv" or not numba:
@@ -107,15 +106,6 @@ def choose_toolchain(kernel: Kernel = "auto", codec: Codec = "auto") -> Toolchai
         )
     turbo = codec == "libturbojpeg" or (codec == "auto" and turbojpeg.found())
     return Toolchain("numba", "libturbojpeg" if turbo else "simplejpeg")
-
-
-@functools.cache
-def _has_numba() -> bool:
-    try:
-        metadata.version("numba")
-    except metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def prepare(toolchain: Toolchain) -> None:
