@@ -3,10 +3,11 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO ?= demo-out
 WORKERS ?= 2
+N ?= 2000
 PAPER_RIGS := 4x95 5x75 5x70+110 6x60 6x70 6x80a 6x80b 8x50
 
 .DEFAULT_GOAL := help
-.PHONY: help install test check convert demo bench optimise clean
+.PHONY: help install test check convert demo bench optimise fuzz clean
 
 help:                 ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -48,6 +49,9 @@ optimise: install     ## find rigs/unidrive-optimised-6.yaml anew
 	$(BIN)/unidrive synth $(DEMO)/boxes --rig benchmarks/boxes-only.yaml --scenes 12 --keyframes 20 --seed 7
 	$(BIN)/unidrive optimize-rig $(PAPER_RIGS) --boxes $(DEMO)/boxes \
 		--search rigs/searches/unidrive-optimised-6.yaml --out rigs/unidrive-optimised-6.yaml --force
+
+fuzz: install         ## break datasets, rigs and pictures: make fuzz N=20000
+	$(BIN)/python -m tests.fuzzing $(N)
 
 clean:                ## remove what make made
 	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache

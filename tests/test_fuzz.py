@@ -1,0 +1,24 @@
+"""Two hundred broken datasets, rigs and pictures: no traceback, no hang, nothing written outside DST."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.datasets import paint
+from tests.fuzzing import fuzz
+
+CASES, GROUP = 200, 10
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return paint(tmp_path_factory.mktemp("painted") / "drive", samples=1)
+
+
+@pytest.mark.parametrize("first", range(0, CASES, GROUP))
+def test_whatever_is_broken_a_sentence_is_said(first: int, painted: Path, tmp_path: Path) -> None:
+    for seed in range(first, first + GROUP):
+        (tmp_path / str(seed)).mkdir()
+        fuzz(painted, tmp_path / str(seed), seed)
