@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -1016,7 +1017,8 @@ def test_an_interrupted_run_is_completed_by_the_same_command(
     stdout, stderr = process.communicate(timeout=20)
     if kill == signal.SIGINT:
         assert process.returncode == 130
-        assert "interrupted. The same command continues" in stderr
+        again = shlex.join(["unidrive", *map(str, process.args[1:])])
+        assert f"interrupted. To continue:\n{again}\n" in stderr
     assert stdout == ""
     assert_unfinished(long_bench.dst)
     long_bench.converted()
@@ -1043,14 +1045,30 @@ def test_ctrl_c_while_the_workers_start_shows_no_traceback(bench: Bench) -> None
 
 
 @pytest.mark.parametrize("process", [2], indirect=True, ids=["jobs-2"])
-def test_no_worker_outlives_its_run(process: subprocess.Popen[str]) -> None:
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL], ids=["SIGTERM", "SIGKILL"])
+def test_no_worker_outlives_its_run(process: subprocess.Popen[str], kill: signal.Signals) -> None:
     """A batch system ends the process that it started; workers that go on would write into DST behind its back."""
-    os.kill(process.pid, signal.SIGTERM)
+    os.kill(process.pid, kill)
     process.wait(timeout=20)
     end = time.monotonic() + 10
     while workers_of(process.pid) and time.monotonic() < end:
         time.sleep(0.1)
     assert workers_of(process.pid) == []
+
+
+@pytest.mark.parametrize("process", [2], indirect=True, ids=["jobs-2"])
+def test_a_worker_that_is_killed_is_said_and_the_same_command_continues(
+    long_bench: Bench, process: subprocess.Popen[str]
+) -> None:
+    """As the kernel does when memory runs out: a sentence, not a hang."""
+    killed = [pid for pid in workers_of(process.pid) if b"LokyProcess" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(killed[0], signal.SIGKILL)
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "a worker process was killed, most likely because memory ran out. The same command continues" in stderr
+    assert "Traceback" not in stderr
+    assert_unfinished(long_bench.dst)
+    long_bench.converted()
 
 
 def test_no_more_workers_than_samples(bench: Bench) -> None:
