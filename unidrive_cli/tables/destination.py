@@ -306,17 +306,19 @@ def to_disk(root: Path) -> None:
     Raises:
         OutputError: it could not be brought there.
     """
-    descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        if ctypes.CDLL(None, use_errno=True).syncfs(descriptor):
-            reason = os.strerror(ctypes.get_errno())
-            raise OutputError(
-                f"what was written did not reach the disk: {reason}.",
-                where=str(root),
-                hint="When that is mended, the same command continues.",
-            )
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            if ctypes.CDLL(None, use_errno=True).syncfs(descriptor):
+                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise OutputError(
+            f"what was written did not reach the disk: {error.strerror}.",
+            where=str(root),
+            hint="When that is mended, the same command continues.",
+        ) from error
 
 
 def sweep(destination: Destination, *, keep_work: bool) -> None:
