@@ -51,7 +51,8 @@ def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int
 
 
 def _attended(work: Callable[[Item], Outcome], parent: int, item: Item) -> Outcome:
-    _end_with(parent)
+    if os.getpid() != parent:  # one job is done in this process
+        _end_with(parent)
     return work(item)
 
 
