@@ -7,7 +7,7 @@ N ?= 2000
 PAPER_RIGS := 4x95 5x75 5x70+110 6x60 6x70 6x80a 6x80b 8x50
 
 .DEFAULT_GOAL := help
-.PHONY: help install test check convert demo bench optimise fuzz clean
+.PHONY: help install test check convert demo bench chaos optimise fuzz clean
 
 help:                 ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -44,6 +44,9 @@ demo: install         ## render a small drive, convert it, say where to look
 
 bench: install        ## CPU time of a sample against the codec alone
 	$(BIN)/python benchmarks/convert_vs_codec.py
+
+chaos: install        ## kill 50 conversions with kill -9, resume each, compare the bytes
+	$(BIN)/python -m tests.chaos --kills 50
 
 optimise: install     ## find rigs/unidrive-optimised-6.yaml anew
 	$(BIN)/unidrive synth $(DEMO)/boxes --rig benchmarks/boxes-only.yaml --scenes 12 --keyframes 20 --seed 7

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -553,12 +554,14 @@ FISHEYE = "distortion: {model: fisheye, coefficients: [0.05, -0.01, 0.002, -0.00
         ("width: 64", "width: 0", ("CAM_FRONT", "width", "0")),
         ("width: 64", "width: .nan", ("CAM_FRONT", "width", "nan")),
         ("CAM_BACK", "CAM_FRONT", ("CAM_FRONT is given twice",)),
+        ("CAM_BACK", "cam_front", ("CAM_FRONT and cam_front differ only by case",)),
+        ("CAM_FRONT", "lidar_top", ("LIDAR_TOP and lidar_top differ only by case",)),
         ("CAM_FRONT", "LIDAR_TOP", ("LIDAR_TOP is a channel of another sensor",)),
         ("CAM_FRONT", "../CAM", ("../CAM is not a channel name",)),
         ("cameras:", "cameras: [", ("is not valid YAML",)),
         ("name: small", "ground_height: 1.7\nname: small", ("CAM_FRONT", "position", "ground")),
         ("name: small", "depth_limit: -1\nname: small", ("depth_limit", "positive")),
-        ("yaw: 0", f"yaw: 0, {FISHEYE}", ("small, camera CAM_FRONT", "fisheye", "a virtual camera is a pinhole")),
+        ("yaw: 0", f"yaw: 0, {FISHEYE}", ("small has lens distortion (CAM_FRONT)", "a virtual camera is a pinhole")),
         (
             "yaw: 0",
             f"yaw: 0, {FISHEYE[:-1]}, k: 1}}",
@@ -1016,7 +1019,8 @@ def test_an_interrupted_run_is_completed_by_the_same_command(
     stdout, stderr = process.communicate(timeout=20)
     if kill == signal.SIGINT:
         assert process.returncode == 130
-        assert "interrupted. The same command continues" in stderr
+        again = shlex.join(["unidrive", *map(str, process.args[1:])])
+        assert f"interrupted. To continue:\n{again}\n" in stderr
     assert stdout == ""
     assert_unfinished(long_bench.dst)
     long_bench.converted()
@@ -1043,14 +1047,30 @@ def test_ctrl_c_while_the_workers_start_shows_no_traceback(bench: Bench) -> None
 
 
 @pytest.mark.parametrize("process", [2], indirect=True, ids=["jobs-2"])
-def test_no_worker_outlives_its_run(process: subprocess.Popen[str]) -> None:
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL], ids=["SIGTERM", "SIGKILL"])
+def test_no_worker_outlives_its_run(process: subprocess.Popen[str], kill: signal.Signals) -> None:
     """A batch system ends the process that it started; workers that go on would write into DST behind its back."""
-    os.kill(process.pid, signal.SIGTERM)
+    os.kill(process.pid, kill)
     process.wait(timeout=20)
     end = time.monotonic() + 10
     while workers_of(process.pid) and time.monotonic() < end:
         time.sleep(0.1)
     assert workers_of(process.pid) == []
+
+
+@pytest.mark.parametrize("process", [2], indirect=True, ids=["jobs-2"])
+def test_a_worker_that_is_killed_is_said_and_the_same_command_continues(
+    long_bench: Bench, process: subprocess.Popen[str]
+) -> None:
+    """As the kernel does when memory runs out: a sentence, not a hang."""
+    killed = [pid for pid in workers_of(process.pid) if b"LokyProcess" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(killed[0], signal.SIGKILL)
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "a worker process was killed, most likely because memory ran out. The same command continues" in stderr
+    assert "Traceback" not in stderr
+    assert_unfinished(long_bench.dst)
+    long_bench.converted()
 
 
 def test_no_more_workers_than_samples(bench: Bench) -> None:
@@ -1082,14 +1102,32 @@ def half_done(bench: Bench) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("damage", ["emptied", "deleted"])
-def test_a_picture_lost_with_the_power_is_made_again(half_done: Bench, damage: str) -> None:
+@pytest.mark.parametrize("what", ["samples", "masks"])
+@pytest.mark.parametrize("damage", ["emptied", "zeros", "deleted"])
+def test_a_picture_lost_with_the_power_is_made_again(half_done: Bench, damage: str, what: str) -> None:
     """A rename can survive a power cut that the bytes do not: the receipt is there, the picture is empty."""
-    picture = next((half_done.dst / "samples" / "CAM_FRONT").iterdir())
+    picture = next((half_done.dst / what / "CAM_FRONT").iterdir())
     whole = picture.read_bytes()
-    picture.write_bytes(b"") if damage == "emptied" else picture.unlink()
+    if damage == "deleted":
+        picture.unlink()
+    else:
+        picture.write_bytes(b"" if damage == "emptied" else bytes(len(whole)))
     half_done.converted()
     assert picture.read_bytes() == whole
+
+
+def test_a_copy_lost_with_the_power_is_made_again(bench: Bench) -> None:
+    """A carried file has no receipt: it must be as large as the source's."""
+    picture = bench.picture(sample=1)
+    content = picture.read_bytes()
+    picture.unlink()
+    assert bench.convert("--link", "copy", "--on-error", "skip").code == 1
+    picture.write_bytes(content)
+    cloud = next((bench.dst / "samples" / "LIDAR_TOP").iterdir())
+    whole = cloud.read_bytes()
+    cloud.write_bytes(b"")
+    bench.converted("--link", "copy")
+    assert cloud.read_bytes() == whole
 
 
 def test_a_receipt_lost_with_the_power_is_made_again(half_done: Bench) -> None:
@@ -1211,7 +1249,7 @@ def test_dst_is_on_a_read_only_disk(bench: Bench) -> None:
 @pytest.mark.parametrize("kilobytes", [4, 8, 64, 300])
 def test_a_full_disk_is_said_and_the_same_command_continues(bench: Bench, kilobytes: int) -> None:
     """Full before the plan is written, among the pictures, and among the lidar files."""
-    command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs 0 --link copy"
+    command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs 0 --link copy --no-space-check"
     script = f"""
         mkdir disk && mount -t tmpfs -o size={kilobytes}k tmpfs disk
         {command} && exit 99 || echo code $?
@@ -1223,6 +1261,40 @@ def test_a_full_disk_is_said_and_the_same_command_continues(bench: Bench, kiloby
     assert "code 4" in run.stdout
     assert "No space left on device" in run.said
     assert run.code == 0, run.stderr
+    assert_consistent(bench.dst)
+
+
+def test_a_disk_that_is_too_small_is_said_before_the_start(bench: Bench) -> None:
+    command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs 0"
+    script = f"mkdir disk && mount -t tmpfs -o size=8k tmpfs disk && {command} --dry-run && {command}"
+    run = in_own_mounts(script, bench.folder)
+    assert run.code == 4
+    assert "will take about" in run.said
+    assert "--no-space-check" in run.said
+    assert "the conversion will refuse to start" in run.stdout
+
+
+@pytest.mark.parametrize("jobs", [0, 2])
+def test_a_limit_of_file_sizes_is_said_and_the_same_command_continues(bench: Bench, jobs: int) -> None:
+    """As a full disk; the tables are larger than the limit, the pictures are not (one block: 512 bytes)."""
+    command = f"{SCRIPT} convert src dst --rig rig.yaml --jobs {jobs}"
+    run = in_own_mounts(f"(ulimit -f 12; {command}) && exit 99 || echo code $?; {command}", bench.folder)
+    assert "code 4" in run.stdout
+    assert "File too large" in run.said
+    assert run.code == 0, run.stderr
+    assert_consistent(bench.dst)
+
+
+def test_a_source_on_a_read_only_disk_is_copied_to_another_disk(bench: Bench) -> None:
+    script = f"""
+        mkdir ro disk
+        mount --bind src ro && mount -o remount,ro,bind ro
+        mount -t tmpfs tmpfs disk
+        {SCRIPT} convert ro 'disk/my dr\303\251am' --rig rig.yaml --jobs 0 && cp -r 'disk/my dr\303\251am' dst
+    """.replace("\\303\\251", "é")
+    run = in_own_mounts(script, bench.folder)
+    assert run.code == 0, run.stderr
+    assert "DST is on another file system" in run.said
     assert_consistent(bench.dst)
 
 

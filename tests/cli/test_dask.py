@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -96,7 +97,8 @@ def test_interrupted_it_says_one_sentence(bench: Bench, tmp_path: Path) -> None:
         wait_until(lambda: receipts(bench.dst) >= 2)
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=120)
-        assert stderr == "unidrive: interrupted. The same command continues where this one stopped.\n"
+        again = shlex.join(["unidrive", "convert", *map(str, arguments)])
+        assert stderr == f"unidrive: interrupted. To continue:\n{again}\n"
         assert process.returncode == 130
         assert bench.convert(*map(str, arguments[4:])).code == 0
 

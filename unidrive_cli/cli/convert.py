@@ -102,6 +102,12 @@ def convert_command(
     codec: Codec = CODEC,
     dry_run: bool = option(False, "--dry-run", help="Say what would be done; write nothing."),
     force: bool = option(False, "--force", help="Replace a DST that holds another conversion of ours."),
+    only_failed: bool = option(
+        False, "--only-failed", help="Try only the samples again that failed (failures.txt)."
+    ),
+    space_check: bool = option(
+        True, "--space-check/--no-space-check", help="Refuse to start where the estimate exceeds the free space."
+    ),
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
@@ -117,6 +123,8 @@ def convert_command(
     share = None if part is None else part_of(part)
     if share and force:
         raise UsageError("--part and --force exclude each other: other parts may be at work in DST.")
+    if only_failed and (share or force):
+        raise UsageError(f"--only-failed and --{'part' if share else 'force'} exclude each other.")
     plan = planned(
         src.absolute() if backend == "dask" else src,
         dst,
@@ -138,6 +146,7 @@ def convert_command(
         jobs=jobs_of(jobs),
         backend=backend,
         scheduler=scheduler,
+        space_check=space_check,
     )
     if dry_run:
         check_destination(resolved_destination(dst), plan.identity, force=force)
@@ -155,7 +164,7 @@ def convert_command(
         leave_out(done.failures)
         return
     with Progress("samples", sys.stderr) as progress:
-        summary = convert(plan, dst, force=force, progress=progress)
+        summary = convert(plan, dst, force=force, only_failed=only_failed, progress=progress)
     say_summary(summary, plan, dst, as_json)
 
 
@@ -251,6 +260,8 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
     if copies:
         why = "" if links else ": DST is on another file system, where links cannot lead"
         typer.echo(f"files that do not change (lidar, radar, maps) are copied{why}; their size is not counted above")
+    if estimate > free:
+        typer.echo("that is more than is free: the conversion will refuse to start (--no-space-check)")
     if share:
         units = share.of(plan.units)
         scenes = len({unit.scene.token for unit in units})

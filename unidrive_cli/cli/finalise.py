@@ -66,6 +66,7 @@ def finalise_command(
     jobs: int | None = option(None, "--jobs", hidden=True, help="No effect: --config may be that of `convert`."),
     backend: str = option("", "--backend", hidden=True, help="No effect, as --jobs."),
     scheduler: str = option("", "--scheduler", hidden=True, help="No effect, as --jobs."),
+    space_check: bool = option(True, "--space-check/--no-space-check", hidden=True, help="No effect, as --jobs."),
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,

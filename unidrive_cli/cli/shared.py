@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import shlex
 import signal
 import sys
 import traceback
@@ -39,9 +40,7 @@ def guarded(command: Command) -> Command:
             sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 (nobody reads on: not an error)
             raise typer.Exit(0) from None
         except KeyboardInterrupt:
-            what_now = (
-                "The same command continues where this one stopped." if "dst" in kwargs else "Nothing was written."
-            )
+            what_now = f"To continue:\n{command_line()}" if "dst" in kwargs else "Nothing was written."
             _fail(f"interrupted. {what_now}", INTERRUPTED, debug=False)
         except Exception as error:
             if isinstance(error, typer.Exit) or type(error).__module__.startswith(("click", "typer")):
@@ -50,6 +49,11 @@ def guarded(command: Command) -> Command:
             _fail(sentence, 1, debug=kwargs.get("debug", False))
 
     return run  # type: ignore[return-value]
+
+
+def command_line() -> str:
+    """The command line to give again to continue this one: without --force, which would start over."""
+    return shlex.join(["unidrive", *(word for word in sys.argv[1:] if word != "--force")])
 
 
 def _interrupt(signal_number: int, frame: object) -> None:

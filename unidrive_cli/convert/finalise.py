@@ -24,7 +24,7 @@ from unidrive_cli.errors import OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
-from unidrive_cli.tables.destination import RUN, TRAINING, Destination
+from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.table import RawRows, write_rows
 from unidrive_cli.warp.common import blanks_of
@@ -92,6 +92,7 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
             _camera_masks(plan, destination)
         summary = _summary(plan, receipts, tables.counts, carried, missing, failures, notes)
         destination.write(TRAINING, training_notes(plan).encode())
+        _list_failures(plan, destination, summary.failures)
         summary.verified = verify_staged(plan, destination, staged)
         final = destination.root / plan.dataset.version
         shutil.rmtree(final, ignore_errors=True)
@@ -168,7 +169,10 @@ def _carry_files(
     carried = missing = 0
     example = ""
     maps = {row.filename for row in plan.dataset.map.rows}
+    pictures = {name for unit in plan.units for name in unit.pictures}
     for filename in carried_files(plan.dataset, tables.kept_sample_data, extra_files):
+        if filename in pictures:
+            continue  # an extra table names a picture in whose place a virtual one is
         if carry(plan.dataset, filename, destination, plan.options.link):
             carried += 1
         elif filename not in maps:
@@ -225,6 +229,20 @@ def _summary(
         [Failure(failure.sample_token, relative(plan, failure.sentence)) for failure in failures],
         [relative(plan, note) for note in (*plan.notes, *notes)],
     )
+
+
+def _list_failures(plan: Plan, destination: Destination, failures: list[Failure]) -> None:
+    """Writes `failures.txt`: sample token, scene and reason, a line each; none where nothing failed."""
+    reasons = {failure.sample_token: failure.sentence for failure in failures}
+    lines = [
+        f"{unit.sample.token}\t{unit.scene.name}\t{' '.join(reasons[unit.sample.token].split())}\n"
+        for unit in plan.units
+        if unit.sample.token in reasons
+    ]
+    if lines:
+        destination.write(FAILED, "".join(lines).encode(errors="backslashreplace"))
+    else:
+        (destination.root / FAILED).unlink(missing_ok=True)
 
 
 def _provenance(plan: Plan, summary: Summary) -> bytes:

@@ -77,9 +77,11 @@ def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) 
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(source)) from error
-    if os.path.lexists(target):
-        return True
     try:
+        if os.path.lexists(target):
+            if target.exists() and target.stat().st_size == real.stat().st_size:
+                return True
+            target.unlink()  # lost with the power
         target.parent.mkdir(parents=True, exist_ok=True)
         if how == "symlink":
             target.symlink_to(real)

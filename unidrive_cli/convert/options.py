@@ -34,6 +34,7 @@ class Options(WarpChoices):
         kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
         backend: `loky`, processes on this machine, or `dask`, the workers of a cluster.
         scheduler: address of the Dask scheduler; empty without `dask`.
+        space_check: refuse to start where the estimate exceeds the free space.
     """
 
     quality: int = 95
@@ -50,6 +51,7 @@ class Options(WarpChoices):
     codec: Codec = "auto"
     backend: Backend = "loky"
     scheduler: str = ""
+    space_check: bool = True
 
     def __post_init__(self) -> None:
         if not 1 <= self.quality <= 100:
@@ -64,6 +66,6 @@ class Options(WarpChoices):
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "on_error", "backend", "scheduler", "kernel", "codec")
+        apart = ("jobs", "verify", "on_error", "backend", "scheduler", "kernel", "codec", "space_check")
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

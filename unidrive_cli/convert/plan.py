@@ -157,13 +157,19 @@ class Plan:
         """Virtual pictures that will be written."""
         return len(self.units) * len(self.rig.cameras)
 
-    def estimated_bytes(self) -> int:
-        """Disk that pictures, masks and tables will take, roughly; linked files not counted."""
+    def estimated_bytes(self, samples: int | None = None) -> int:
+        """Disk that pictures, masks and tables will take, roughly; files that go along not counted.
+
+        Args:
+            samples: how many of them are still to be converted; all where None.
+        """
+        samples = len(self.units) if samples is None else samples
+        pictures = samples * len(self.rig.cameras)
         pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in self.rig.cameras)
         per_pixel = float(np.interp(self.options.quality, _JPEG_QUALITIES, _JPEG_BYTES_PER_PIXEL))
-        masks = _MASK_BYTES * self.picture_count if self.options.masks == "frame" else 0
+        masks = _MASK_BYTES * pictures if self.options.masks == "frame" else 0
         tables = self.dataset.sample_annotation.size_bytes + _ROW_BYTES * self.picture_count
-        return int(pixels * per_pixel) * len(self.units) + masks + tables
+        return int(pixels * per_pixel) * samples + masks + tables
 
 
 def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | None = None) -> Plan:
@@ -256,6 +262,14 @@ def _check_channels(dataset: Dataset, rig: Rig) -> None:
     for channel in rig.channels:
         if channel in others:
             raise RigError(f"{channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
+    folders = {channel.lower(): channel for channel in others}
+    for channel in rig.channels:
+        other = folders.setdefault(channel.lower(), channel)
+        if other != channel:
+            raise RigError(
+                f"the channels {other} and {channel} differ only by case; on some disks they are one folder.",
+                where=rig.name,
+            )
 
 
 def _check_filenames(dataset: Dataset) -> None:

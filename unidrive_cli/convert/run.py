@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,7 +17,7 @@ from unidrive_cli.convert.parts import Part
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
 from unidrive_cli.convert.verify import verify
-from unidrive_cli.errors import CheckError, DatasetError, UnidriveError, UsageError
+from unidrive_cli.errors import CheckError, DatasetError, OutputError, UnidriveError, UsageError
 from unidrive_cli.tables.converted import WORK
 from unidrive_cli.tables.destination import (
     RECEIPTS,
@@ -28,10 +27,12 @@ from unidrive_cli.tables.destination import (
     check_apart,
     check_destination,
     finish,
+    free_bytes,
     held,
     join,
     resolved_destination,
     sweep,
+    to_disk,
 )
 from unidrive_cli.warp.render import prepare
 from unidrive_cli.workers import in_workers
@@ -41,7 +42,9 @@ Progress = Callable[[int, int], None]
 Work = Callable[[Frame | Failure], Receipt | Failure]
 Executor = Callable[[Work, Sequence[Unit], Iterable[Frame | Failure]], Iterator[Receipt | Failure]]
 FAILURES = "failures"
-"""Below the work folder: what a part could not convert, for the finalise that comes later."""
+"""Below the work folder: what could not be converted, for `finalise` and for another try."""
+_PARTS_HINT = "Run the parts that have not ended (or `unidrive convert` without --part), then finalise."
+_ONLY_FAILED_HINT = "The same command without --only-failed converts them."
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,20 @@ class PartSummary:
     already_complete: bool = False
 
 
-def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress: Progress | None = None) -> Summary:
+def convert(
+    plan: Plan,
+    destination_root: Path,
+    *,
+    force: bool = False,
+    only_failed: bool = False,
+    progress: Progress | None = None,
+) -> Summary:
     """Converts a dataset as planned; the same call continues a conversion that was stopped.
 
     Args:
         destination_root: DST; must not exist, be empty, or hold this very conversion.
         force: replace a conversion with other options.
+        only_failed: try the samples again that failed in DST, and no others.
         progress: told after every unit.
 
     Returns:
@@ -83,6 +94,8 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
     """
     started = time.monotonic()
     root, same = _checked(plan, destination_root, force=force)
+    if only_failed and not same:
+        raise UsageError(f"{root} holds no conversion of which samples could have failed.")
     executor = _executor(plan)
     with held(root):
         if same and not force and Destination(root).finished:
@@ -91,6 +104,10 @@ def convert(plan: Plan, destination_root: Path, *, force: bool = False, progress
                 return _verified_again(plan, root, summary)
         destination = begin(root, plan.identity, same=same, force=force)
         try:
+            if only_failed:
+                failed = [unit for unit in plan.units if _recorded(destination, unit)]
+                _run_units(plan, failed, destination, executor, progress)
+                return _finalised_as_recorded(plan, destination, started, _ONLY_FAILED_HINT)
             receipts, failures = _run_units(plan, plan.units, destination, executor, progress)
             return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
         except BaseException:
@@ -115,12 +132,8 @@ def convert_part(plan: Plan, destination_root: Path, part: Part, *, progress: Pr
         if same and Destination(root).finished and not read_summary(Destination(root)).failures:
             return PartSummary(str(part), len(units), [], 0, already_complete=True)
         destination = join(root, plan.identity)
-        receipts, failures = _run_units(plan, units, destination, executor, progress)
-        failures = [replace(failure, sentence=relative(plan, failure.sentence)) for failure in failures]
-        for failure in failures:
-            destination.write(_failure_name(failure.sample_token), json.dumps(asdict(failure)).encode())
-        for token in receipts:
-            (root / _failure_name(token)).unlink(missing_ok=True)
+        _, failures = _run_units(plan, units, destination, executor, progress)
+        to_disk(root)
         done = {path.name for path in (destination.work / RECEIPTS).glob("*.json")}
         left = sum(Path(receipt_name(unit.sample.token)).name not in done for unit in plan.units)
         return PartSummary(str(part), len(units), failures, left)
@@ -147,11 +160,7 @@ def finalise_parts(plan: Plan, destination_root: Path) -> Summary:
         if Destination(root).finished:
             return _verified_again(plan, root, read_summary(Destination(root)))
         destination = begin(root, plan.identity, same=True, force=False)
-        receipts, missing = _receipts(plan, plan.units, destination)
-        failures = [failure for unit in missing if (failure := _recorded(destination, unit))]
-        if missing and (len(failures) < len(missing) or plan.options.on_error == "stop"):
-            raise _missing_error(root, missing, failures)
-        return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
+        return _finalised_as_recorded(plan, destination, started, _PARTS_HINT)
 
 
 def _checked(plan: Plan, destination_root: Path, *, force: bool) -> tuple[Path, bool]:
@@ -167,6 +176,20 @@ def _verified_again(plan: Plan, root: Path, summary: Summary) -> Summary:
     return summary
 
 
+def _finalised_as_recorded(plan: Plan, destination: Destination, started: float, hint: str) -> Summary:
+    """Finalises what receipts and records of failures say; refuses where a sample has neither.
+
+    Args:
+        started: on the monotonic clock.
+        hint: what to do where samples were not tried yet.
+    """
+    receipts, missing = _receipts(plan, plan.units, destination)
+    failures = [failure for unit in missing if (failure := _recorded(destination, unit))]
+    if missing and (len(failures) < len(missing) or plan.options.on_error == "stop"):
+        raise _missing_error(destination.root, missing, failures, hint)
+    return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
+
+
 def _finalised(
     plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure], seconds: float
 ) -> Summary:
@@ -176,7 +199,6 @@ def _finalised(
     summary = finalise(plan, destination, receipts, failures)
     summary.seconds = {"units": round(seconds, 3), "finalise": round(time.monotonic() - started, 3)}
     write_run(destination, summary)
-    shutil.rmtree(destination.work / FAILURES, ignore_errors=True)
     finish(destination, keep_work=bool(failures))
     return summary
 
@@ -192,12 +214,10 @@ def _recorded(destination: Destination, unit: Unit) -> Failure | None:
     return None
 
 
-def _missing_error(root: Path, missing: Sequence[Unit], failures: Sequence[Failure]) -> CheckError:
+def _missing_error(root: Path, missing: Sequence[Unit], failures: Sequence[Failure], hint: str) -> CheckError:
     first = ", ".join(f"{unit.sample.token} of {unit.scene.name}" for unit in missing[:3])
     more = ", ..." if len(missing) > 3 else ""
-    if len(failures) < len(missing):
-        hint = "Run the parts that have not ended (or `unidrive convert` without --part), then finalise."
-    else:
+    if len(failures) == len(missing):
         hint = f"All of them failed ({failures[0].sentence}); --on-error skip leaves them out."
     samples = "1 sample is" if len(missing) == 1 else f"{len(missing)} samples are"
     return CheckError(f"{samples} not converted yet: {first}{more}.", where=str(root), hint=hint)
@@ -223,20 +243,36 @@ def _run_units(
     failures: list[Failure] = []
     if progress:
         progress(len(receipts), len(units))
+    if missing and plan.options.space_check:
+        _check_space(plan, destination, len(missing))
     common = plan.common_masks if missing else None
     job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest, common)
     skip = plan.options.on_error == "skip"
     work = functools.partial(_attempt, job, plan.dataset.folder, skip)
     frames = (_frame(plan, unit, skip=skip) for unit in missing)
     for outcome in executor(work, missing, frames) if missing else ():
+        record = destination.root / _failure_name(outcome.sample_token)
         if isinstance(outcome, Failure):
-            failures.append(outcome)
+            failures.append(replace(outcome, sentence=relative(plan, outcome.sentence)))
+            destination.write(_failure_name(outcome.sample_token), json.dumps(asdict(failures[-1])).encode())
         else:
             receipts[outcome.sample_token] = outcome
+            record.unlink(missing_ok=True)
         if progress:
             progress(len(receipts) + len(failures), len(units))
     failures.sort(key=lambda failure: failure.sample_token)
     return receipts, failures
+
+
+def _check_space(plan: Plan, destination: Destination, samples: int) -> None:
+    needed, free = plan.estimated_bytes(samples), free_bytes(destination.root)
+    if needed > free:
+        raise OutputError(
+            f"pictures, masks and tables will take about {needed / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free.",
+            where=str(destination.root),
+            hint="Free some, or start all the same with --no-space-check: where the disk is full the run stops, "
+            "and the same command continues.",
+        )
 
 
 def _executor(plan: Plan) -> Executor:

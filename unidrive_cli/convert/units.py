@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import Renderer, Toolchain, choose_toolchain, open_renderer
 
+_JPEG_END = b"\xff\xd9"
+_PNG_END = b"IEND\xaeB`\x82"
 SKIP_HINT = "Restore it, or leave its sample out with --on-error skip."
 
 
@@ -103,17 +106,33 @@ def receipt_name(sample_token: str) -> str:
 def read_receipt(
     destination: Destination, sample_token: str, pictures: Sequence[str], masks: Masks
 ) -> Receipt | None:
-    """The receipt of a finished sample; None where it, a picture or a mask is missing or of another size."""
+    """The receipt of a finished sample; None where it, a picture or a mask is missing, of another size or cut off.
+
+    After a loss of power a receipt can be there and what it stands for not: empty, or zeros of the right length.
+    """
     root = destination.root
     try:
         receipt = msgspec.json.decode((root / receipt_name(sample_token)).read_bytes(), type=Receipt)
-        sizes = [(root / name).stat().st_size for name in pictures]
-        whole = sizes == receipt.picture_bytes
+        whole = all(
+            _ends_with(root / name, _JPEG_END, size)
+            for name, size in zip(pictures, receipt.picture_bytes, strict=True)
+        )
         if masks == "frame":
-            whole = whole and all((root / mask_name(name)).stat().st_size for name in pictures)
-    except (OSError, msgspec.DecodeError):
+            whole = whole and all(_ends_with(root / mask_name(name), _PNG_END) for name in pictures)
+    except (OSError, ValueError):
         return None
     return receipt if whole else None
+
+
+def _ends_with(path: Path, end: bytes, size: int | None = None) -> bool:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        length = os.fstat(descriptor).st_size
+        if length < len(end) or (size is not None and length != size):
+            return False
+        return os.pread(descriptor, len(end), length - len(end)) == end
+    finally:
+        os.close(descriptor)
 
 
 def check_machine(job: Job, source: Path) -> None:

@@ -48,6 +48,21 @@ def is_converted(root: Path) -> bool:
     return any((root / name).exists() for name in (PROVENANCE, MARKER, WORK))
 
 
+def refuse_unfinished(root: Path) -> None:
+    """Refuses a dataset that a command of ours has begun, or begun again, and not finished.
+
+    Raises:
+        DatasetError: it holds the marker or the work folder.
+    """
+    for name in (MARKER, WORK):
+        if (root / name).exists():
+            raise DatasetError(
+                f"has not been finished ({name}).",
+                where=str(root),
+                hint="Give the same unidrive command again to complete it.",
+            )
+
+
 def read_conversion(root: Path) -> Conversion:
     """How the dataset in a folder was converted.
 
@@ -55,12 +70,7 @@ def read_conversion(root: Path) -> Conversion:
         DatasetError: it was not, the conversion has not finished, or its provenance file is broken.
     """
     path = root / PROVENANCE
-    if (root / MARKER).exists() or (root / WORK).exists():
-        raise DatasetError(
-            f"has not been finished ({MARKER if (root / MARKER).exists() else WORK}).",
-            where=str(root),
-            hint="Give the same unidrive command again to complete it.",
-        )
+    refuse_unfinished(root)
     try:
         return msgspec.json.decode(path.read_bytes(), type=_Provenance).plan
     except FileNotFoundError as error:

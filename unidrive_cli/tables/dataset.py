@@ -17,7 +17,7 @@ from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
-from unidrive_cli.tables.converted import MARKER
+from unidrive_cli.tables.converted import refuse_unfinished
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.paths import Inside
 from unidrive_cli.tables.scanned import SCANNED, scan_tables
@@ -308,6 +308,7 @@ def _version_folder(root: Path, version: str | None) -> Path:
         raise DatasetError("there is no such folder.", where=str(root))
     if not root.is_dir():
         raise DatasetError("is a file; the folder that holds v1.0-* was expected.", where=str(root))
+    refuse_unfinished(root)
     folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     found = [folder for folder in folders if (folder / "sensor.json").exists()]
     found = [folder for folder in found if (folder / "sample_data.json").exists()] or found
@@ -329,12 +330,6 @@ def _version_folder(root: Path, version: str | None) -> Path:
             "is a version folder itself.",
             where=str(root),
             hint=f"Give the folder above it: {root.resolve().parent}.",
-        )
-    if (root / MARKER).exists():
-        raise DatasetError(
-            f"has not been finished ({MARKER}).",
-            where=str(root),
-            hint="Give the same unidrive command again to complete it.",
         )
     raise DatasetError(
         "holds no version folder: no folder with sensor.json and sample_data.json in it.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import hashlib
 import json
@@ -19,11 +20,12 @@ from unidrive_cli.tables.converted import MARKER, MASKS, PROVENANCE, WORK
 
 RUN = "run.json"
 TRAINING = "TRAINING.md"
+FAILED = "failures.txt"
 KEPT_WORK = ".unidrive-done"
 OLD = ".unidrive-old"
 RECEIPTS = "receipts"
 PLAN = "plan.json"
-RESERVED = (PROVENANCE, RUN, TRAINING, WORK, KEPT_WORK, OLD, MARKER, MASKS)
+RESERVED = (PROVENANCE, RUN, TRAINING, FAILED, WORK, KEPT_WORK, OLD, MARKER, MASKS)
 """Names at the top of DST that no file of the source may take."""
 _MARKER_TEXT = "unidrive has not finished here. Run the same command again to complete this dataset.\n"
 
@@ -243,6 +245,8 @@ def begin(
             destination = Destination(root, provenance=provenance)
             destination.kept_work.rename(destination.work)
         destination.work.mkdir(exist_ok=True)
+        for half_written in destination.work.glob("*.part"):
+            half_written.unlink()
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(root)) from error
     try:
@@ -279,18 +283,42 @@ def join(root: Path, identity: dict[str, Any]) -> Destination:
 def finish(destination: Destination, *, keep_work: bool) -> None:
     """Takes the marker away: the rename is the moment from which the dataset is complete.
 
+    Everything is on the disk before it, so that no loss of power leaves a dataset that looks complete and is not.
+
     Args:
         keep_work: keep the receipts, because samples were left out.
 
     Raises:
         OutputError: DST cannot be written.
     """
+    to_disk(destination.root)
     try:
         shutil.rmtree(destination.kept_work, ignore_errors=True)
         destination.work.rename(destination.kept_work)
         sweep(destination, keep_work=keep_work)
     except OSError as error:
         raise OutputError(f"cannot be removed: {error.strerror}.", where=str(destination.work)) from error
+
+
+def to_disk(root: Path) -> None:
+    """Waits until all that was written to the file system of a folder is on its disk.
+
+    Raises:
+        OutputError: it could not be brought there.
+    """
+    try:
+        descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            if ctypes.CDLL(None, use_errno=True).syncfs(descriptor):
+                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise OutputError(
+            f"what was written did not reach the disk: {error.strerror}.",
+            where=str(root),
+            hint="When that is mended, the same command continues.",
+        ) from error
 
 
 def sweep(destination: Destination, *, keep_work: bool) -> None:
@@ -375,7 +403,7 @@ def as_finished(destination: Destination, staged_tables: Path, version: str) -> 
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir()
     for entry in destination.root.iterdir():
-        if entry.name not in (WORK, KEPT_WORK, version):
+        if entry.name not in (WORK, KEPT_WORK, MARKER, version):
             (root / entry.name).symlink_to(entry)
     (root / version).symlink_to(staged_tables)
     yield root
