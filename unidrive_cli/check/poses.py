@@ -74,20 +74,6 @@ def sizeless_boxes(subject: Subject) -> Iterator[Broken]:
     yield from _sizeless(subject.dataset, ((sizes > 0) & (sizes <= MAX_SIZE_M)).all(axis=1), "above 0, up to")
 
 
-def repeated_boxes(subject: Subject) -> Iterator[Broken]:
-    """An instance has one box per sample.
-
-    Trackers count the other as another object.
-    """
-    table, samples = subject.dataset.sample_annotation, len(subject.dataset.sample.rows)
-    owners, moments = subject.lists["sample_annotation"].groups, subject.sample_of_annotation
-    known = np.flatnonzero((owners >= 0) & (moments >= 0))
-    _, first = np.unique(owners[known] * samples + moments[known], return_index=True)
-    for row in table.rows_at(np.delete(known, first)):
-        what = f"instance {row.instance_token} has another box in sample {row.sample_token}; one was expected."
-        yield table.place(row, "instance_token"), what
-
-
 def _tables(dataset: Dataset) -> tuple[Table[Any], ...]:
     return dataset.calibrated_sensor, dataset.ego_pose, dataset.sample_annotation
 

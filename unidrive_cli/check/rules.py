@@ -99,7 +99,6 @@ RULES = (
     Rule("POSE-2", "error", poses.far_translations),
     Rule("POSE-3", "error", poses.rotations_not_unit),
     Rule("BOX-1", "error", poses.sizeless_boxes),
-    Rule("BOX-2", "error", poses.repeated_boxes),
     Rule("CAM-1", "error", cameras.wrong_intrinsics, devkit=True),
     Rule("CAM-2", "error", cameras.intrinsics_of_others),
     Rule("FILE-1", "error", files.files_outside, devkit=True),
