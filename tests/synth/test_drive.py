@@ -17,8 +17,7 @@ from nuscenes.utils.geometry_utils import box_in_image, view_points
 from nuscenes.utils.splits import create_splits_scenes
 
 from tests.datasets import unidrive
-from unidrive_cli.check.poses import check_poses
-from unidrive_cli.check.references import check_references
+from unidrive_cli.check.validation import find_subject, validate
 from unidrive_cli.geometry import poses
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import inverse, rotation_from_yaw_pitch_roll, transform
@@ -30,6 +29,7 @@ from unidrive_cli.synth.scene import Scene, make_scene
 from unidrive_cli.synth.stage import View
 from unidrive_cli.synth.traffic import EGO_CENTRE_M, EGO_LENGTH_M, EGO_WIDTH_M, overlap
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.warp.pictures import picture_size
 
 RIG = """
 name: {name}
@@ -79,8 +79,7 @@ def scene() -> Scene:
 def test_the_tables_hold(both: Path) -> None:
     for name in ("narrow", "wide"):
         dataset = open_dataset(both / name)
-        assert list(check_references(dataset)) == []
-        check_poses(dataset)
+        assert validate(find_subject(both / name, None, picture_size)).findings == []
         assert dataset.notes == []
         assert len(dataset.sample.rows) == 4
         assert {row.name for row in dataset.scene.rows} <= set(create_splits_scenes()["train"]) | set(
@@ -328,8 +327,7 @@ def test_sweeps_lie_between_key_frames(rigs: dict[str, Path], both: Path, tmp_pa
     plan = make_synth_plan(replace(DRIVE, scenes=1, sweeps=True), [load_rig(rigs["narrow"])], "auto")
     synthesise(plan, root, jobs=0)
     dataset = open_dataset(root)
-    assert list(check_references(dataset)) == []
-    check_poses(dataset)
+    assert validate(find_subject(root, None, picture_size)).findings == []
     rows = {row.token: row for row in dataset.sample_data.rows}
     first, second = sorted(dataset.sample.rows, key=lambda row: row.timestamp)
     for channel, between, step_us in (("CAM_FRONT", 5, 83_333), ("CAM_BACK", 5, 83_333), ("LIDAR_TOP", 9, 50_000)):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.datasets import VERSION, Bench, assert_consistent, paint, rows, unidrive
 from unidrive_cli.check.references import check_references
-from unidrive_cli.convert import verify
+from unidrive_cli.tables import thinned as thinned_module
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.thinned import thinned
@@ -45,8 +45,8 @@ def test_large_outputs_are_opened_in_part(painted: Path, tmp_path: Path, monkeyp
         opened.append(len(rows(root, "scene")))
         return check_devkit(root, version, annotations)
 
-    monkeypatch.setattr(verify, "check_devkit", spy)
-    monkeypatch.setattr(verify, "DEVKIT_SCENES", 2)
+    monkeypatch.setattr(thinned_module, "check_devkit", spy)
+    monkeypatch.setattr(thinned_module, "DEVKIT_SCENES", 2)
     bench = Bench(tmp_path, painted)
     assert bench.convert().code == 0
     assert unidrive("convert", bench.src, bench.dst, "--rig", bench.rig, "--jobs", 0, "--verify", "full").code == 0

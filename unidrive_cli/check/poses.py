@@ -1,43 +1,104 @@
-"""POSE: quaternions and translations of the needed tables must be poses."""
+"""POSE, BOX: poses must be poses, boxes must have sizes."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
+from unidrive_cli.check.finding import Broken
+from unidrive_cli.check.subject import Subject
 from unidrive_cli.errors import DatasetError
+from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.dataset import Dataset
+from unidrive_cli.tables.table import Table
 
 MAX_COORDINATE_M = 1e9
 MAX_SIZE_M = 1e4
+MIN_NORM = 1e-6
+UNIT_TOLERANCE = 1e-3
 
 
 def check_poses(dataset: Dataset) -> None:
-    """POSE-1: every rotation has a norm, no translation is absurd; boxes have sizes.
+    """What a conversion needs of POSE-1, POSE-2 and BOX-1; boxes may be flat.
 
     Raises:
         DatasetError: naming the first row that breaks it.
     """
-    for table in (dataset.calibrated_sensor, dataset.ego_pose, dataset.sample_annotation):
-        rows, rotations, translations = table.rows, table.numbers("rotation"), table.numbers("translation")
-        with np.errstate(over="ignore", invalid="ignore"):
-            norms = np.linalg.norm(rotations, axis=1)
-        bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 1e-6)))
-        if len(bad):
-            row = rows[int(bad[0])]
-            raise DatasetError(
-                f"{list(row.rotation)} has norm {norms[bad[0]]:g}; a unit quaternion w, x, y, z was expected.",
-                where=table.place(row, "rotation"),
-            )
-        bad = np.flatnonzero(~(np.abs(translations) <= MAX_COORDINATE_M).all(axis=1))
-        if len(bad):
-            raise DatasetError(
-                f"must be three numbers of at most {MAX_COORDINATE_M:g} metres.",
-                where=table.place(rows[int(bad[0])], "translation"),
-            )
+    for table in _tables(dataset):
+        for where, what in (*_no_rotations(table), *_far_off(table)):
+            raise DatasetError(what, where=where)
     sizes = dataset.sample_annotation.numbers("size")
-    sane = ((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1)
-    for box in dataset.sample_annotation.rows_at(np.flatnonzero(~sane)[:1]):
-        raise DatasetError(
-            f"{list(box.size)}: width, length and height must be from 0 to {MAX_SIZE_M:g} metres.",
-            where=dataset.sample_annotation.place(box, "size"),
-        )
+    for where, what in _sizeless(dataset, ((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1), "from 0 to"):
+        raise DatasetError(what, where=where)
+
+
+def no_rotations(subject: Subject) -> Iterator[Broken]:
+    """A rotation is a quaternion that has a norm.
+
+    It is no rotation.
+    """
+    for table in _tables(subject.dataset):
+        yield from _no_rotations(table)
+
+
+def far_translations(subject: Subject) -> Iterator[Broken]:
+    """A translation is at most 1e9 metres.
+
+    It is no place on earth.
+    """
+    for table in _tables(subject.dataset):
+        yield from _far_off(table)
+
+
+def rotations_not_unit(subject: Subject) -> Iterator[Broken]:
+    """A rotation is a unit quaternion, within 0.001.
+
+    Some readers scale it, others get a matrix that also stretches.
+    """
+    for table in _tables(subject.dataset):
+        norms = _norms(table)
+        bad = np.flatnonzero((norms > MIN_NORM) & ~(np.abs(norms - 1) <= UNIT_TOLERANCE) & np.isfinite(norms))
+        for row, norm in zip(table.rows_at(bad), norms[bad], strict=True):
+            what = f"{list(row.rotation)} has norm {norm:g}; a unit quaternion w, x, y, z was expected."
+            yield table.place(row, "rotation"), what
+
+
+def sizeless_boxes(subject: Subject) -> Iterator[Broken]:
+    """Width, length and height of a box are above 0, up to 10000 metres.
+
+    IoU and size losses divide by them.
+    """
+    sizes = subject.dataset.sample_annotation.numbers("size")
+    yield from _sizeless(subject.dataset, ((sizes > 0) & (sizes <= MAX_SIZE_M)).all(axis=1), "above 0, up to")
+
+
+def _tables(dataset: Dataset) -> tuple[Table[Any], ...]:
+    return dataset.calibrated_sensor, dataset.ego_pose, dataset.sample_annotation
+
+
+def _norms(table: Table[Any]) -> Float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        norms: Float = np.linalg.norm(table.numbers("rotation"), axis=1)
+    return norms
+
+
+def _no_rotations(table: Table[Any]) -> Iterator[Broken]:
+    norms = _norms(table)
+    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > MIN_NORM)))
+    for row, norm in zip(table.rows_at(bad), norms[bad], strict=True):
+        what = f"{list(row.rotation)} has norm {norm:g}; a unit quaternion w, x, y, z was expected."
+        yield table.place(row, "rotation"), what
+
+
+def _far_off(table: Table[Any]) -> Iterator[Broken]:
+    bad = np.flatnonzero(~(np.abs(table.numbers("translation")) <= MAX_COORDINATE_M).all(axis=1))
+    for row in table.rows_at(bad):
+        yield table.place(row, "translation"), f"must be three numbers of at most {MAX_COORDINATE_M:g} metres."
+
+
+def _sizeless(dataset: Dataset, sane: Bool, limits: str) -> Iterator[Broken]:
+    for box in dataset.sample_annotation.rows_at(np.flatnonzero(~sane)):
+        what = f"{list(box.size)}: width, length and height must be {limits} {MAX_SIZE_M:g} metres."
+        yield dataset.sample_annotation.place(box, "size"), what

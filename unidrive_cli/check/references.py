@@ -3,27 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
+from unidrive_cli.check.finding import Broken, Finding
+from unidrive_cli.check.subject import Subject
 from unidrive_cli.tables.dataset import Dataset
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One broken rule.
-
-    Attributes:
-        rule: its ID.
-        where: file, token and field.
-        what: the sentence.
-        error: whether the dataset cannot be used so; otherwise it is mended and said.
-    """
-
-    rule: str
-    where: str
-    what: str
-    error: bool = True
-
 
 REFERENCES = (
     ("calibrated_sensor", "sensor_token", "sensor"),
@@ -55,28 +38,50 @@ MENDABLE = (
 
 
 def check_references(dataset: Dataset) -> Iterator[Finding]:
-    """REF-1: a token points to no row. REF-2: a list link points outside of the dataset."""
-    for table_name, field, target_name in REFERENCES + MENDABLE:
-        mendable = (table_name, field, target_name) in MENDABLE
+    """REF-1 and REF-2 of the list of rules (`rules.py`)."""
+    for where, what in _dangling_tokens(dataset):
+        yield Finding("REF-1", where, what)
+    for where, what in _open_links(dataset):
+        yield Finding("REF-2", where, what, "warning")
+
+
+def dangling_tokens(subject: Subject) -> Iterator[Broken]:
+    """Every token leads to a row.
+
+    Readers stop with a KeyError.
+    """
+    yield from _dangling_tokens(subject.dataset)
+
+
+def open_links(subject: Subject) -> Iterator[Broken]:
+    """prev, next, first and last lead to rows of the dataset.
+
+    Readers of tracks and sweeps stop with a KeyError; a conversion closes the lists.
+    """
+    yield from _open_links(subject.dataset)
+
+
+def _dangling_tokens(dataset: Dataset) -> Iterator[Broken]:
+    for table_name, field, target_name in REFERENCES:
         table = getattr(dataset, table_name)
-        unlinked = table.unlinked(field, getattr(dataset, target_name), empty=not mendable)
-        for row in table.rows_at(unlinked):
+        for row in table.rows_at(table.unlinked(field, getattr(dataset, target_name), empty=True)):
             token = getattr(row, field)
-            if _may_be_empty(table_name, field, row, token):
-                continue
-            yield Finding(
-                "REF-2" if mendable else "REF-1",
-                table.place(row, field),
-                f"points to {token!r}, which is not in {target_name}.json.",
-                error=not mendable,
-            )
+            if not _may_be_empty(table_name, field, row, token):
+                yield table.place(row, field), f"points to {token!r}, which is not in {target_name}.json."
 
     annotations, attributes = dataset.sample_annotation, dataset.attribute.by_token
     for annotation in annotations.rows_at(annotations.rows_with_dangling("attribute_tokens", dataset.attribute)):
         for token in annotation.attribute_tokens:
             if token not in attributes:
                 place = annotations.place(annotation, "attribute_tokens")
-                yield Finding("REF-1", place, f"points to {token!r}, which is not in attribute.json.")
+                yield place, f"points to {token!r}, which is not in attribute.json."
+
+
+def _open_links(dataset: Dataset) -> Iterator[Broken]:
+    for table_name, field, target_name in MENDABLE:
+        table = getattr(dataset, table_name)
+        for row in table.rows_at(table.unlinked(field, getattr(dataset, target_name), empty=False)):
+            yield table.place(row, field), f"points to {getattr(row, field)!r}, which is not in {target_name}.json."
 
 
 def _may_be_empty(table: str, field: str, row: object, token: str | None) -> bool:

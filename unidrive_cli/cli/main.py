@@ -12,6 +12,7 @@ from unidrive_cli.cli.inspect_rig import inspect_rig_command
 from unidrive_cli.cli.measure import measure_command
 from unidrive_cli.cli.optimize_rig import optimize_rig_command
 from unidrive_cli.cli.synth import synth_command
+from unidrive_cli.cli.validate import validate_command
 
 app = typer.Typer(
     name="unidrive",
@@ -43,6 +44,7 @@ app.command("inspect-rig")(inspect_rig_command)
 app.command("measure")(measure_command)
 app.command("optimize-rig")(optimize_rig_command)
 app.command("synth")(synth_command)
+app.command("validate")(validate_command)
 app.command("doctor")(doctor_command)
 
 

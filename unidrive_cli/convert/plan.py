@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 import stat
 from collections import Counter
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from unidrive_cli import __version__
+from unidrive_cli.check.files import named_files
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.common import Common, with_own_rig
@@ -287,16 +287,9 @@ def _check_filenames(dataset: Dataset) -> None:
         if filename.partition("/")[0] in reserved:
             raise DatasetError(f"{filename[:80]!r} is a name that the output needs for itself.", where=where())
 
-    table, others = dataset.sample_data, np.flatnonzero(~dataset.of_cameras)
-    for row in table.rows_at(table.names_to_check(others, dataset.files.has_links)):
-        check(row.filename, functools.partial(table.place, row, "filename"))
-    for map_row in dataset.map.rows:
-        if map_row.filename:
-            check(map_row.filename, functools.partial(dataset.map.place, map_row, "filename"))
-    for extra in dataset.extra_tables.values():
-        for index, record in enumerate(extra.rows or []):
-            if filename := extra.filename(record):
-                check(filename, functools.partial("{}, row {}, field filename".format, extra.path, index))
+    rows = dataset.sample_data.names_to_check(np.flatnonzero(~dataset.of_cameras), dataset.files.has_links)
+    for filename, where in named_files(dataset, rows):
+        check(filename, where)
     check_carried_folders(dataset)
 
 

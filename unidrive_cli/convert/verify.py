@@ -13,14 +13,11 @@ from unidrive_cli.convert.plan import Plan
 from unidrive_cli.errors import CheckError, UnidriveError
 from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.destination import Destination, as_finished
-from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import SampleData
-from unidrive_cli.tables.thinned import thinned
+from unidrive_cli.tables.thinned import open_with_devkit
 from unidrive_cli.warp.pictures import decode_picture
 
 SAMPLED_PICTURES = 60
-DEVKIT_SCENES = 20
-"""So many scenes of a larger output are opened with nuscenes-devkit, unless `--verify full`."""
 
 
 @dataclass(frozen=True)
@@ -65,18 +62,8 @@ def verify(plan: Plan, root: Path) -> Verified:
     if findings:
         raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
     present, decoded = _check_pictures(plan, dataset, root)
-    boxes = _open_with_devkit(plan, dataset)
+    boxes = open_with_devkit(dataset, whole=plan.options.verify == "full")
     return Verified(len(list((root / plan.dataset.version).glob("*.json"))), present, decoded, boxes)
-
-
-def _open_with_devkit(plan: Plan, dataset: Dataset) -> int:
-    """nuscenes-devkit keeps every row in memory, so it gets only some scenes of a large dataset."""
-    scenes = dataset.scene.rows
-    if plan.options.verify == "full" or len(scenes) <= DEVKIT_SCENES:
-        return check_devkit(dataset.root, dataset.version, len(dataset.sample_annotation.rows))
-    chosen = [scenes[place] for place in np.linspace(0, len(scenes) - 1, DEVKIT_SCENES).astype(int)]
-    with thinned(dataset, chosen) as (root, annotations):
-        return check_devkit(root, dataset.version, annotations)
 
 
 def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:

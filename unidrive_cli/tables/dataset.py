@@ -259,7 +259,7 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
         UsageError: several version folders and no `version`, or a `version` that is not there.
     """
     try:
-        return _open(_version_folder(root, version))
+        return _open(version_folder(root, version))
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
 
@@ -303,7 +303,13 @@ def is_version_folder(folder: Path) -> bool:
     return (folder / "sensor.json").exists() and (folder / "sample_data.json").exists()
 
 
-def _version_folder(root: Path, version: str | None) -> Path:
+def version_folder(root: Path, version: str | None) -> Path:
+    """The version folder that `open_dataset` reads.
+
+    Raises:
+        DatasetError, UsageError: as `open_dataset`.
+        OSError: the folder cannot be read.
+    """
     if not root.exists():
         raise DatasetError("there is no such folder.", where=str(root))
     if not root.is_dir():

@@ -1,4 +1,4 @@
-"""nuscenes-devkit as a second opinion on a dataset that unidrive has written."""
+"""nuscenes-devkit as a second opinion on a dataset."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ def check_devkit(root: Path, version: str, annotations: int) -> int:
                         if not Path(path).is_file():
                             raise CheckError(f"nuscenes-devkit looks for {path}, which is not there ({channel}).")
     except (AssertionError, LookupError, ValueError, TypeError, AttributeError, OSError) as error:
-        raise CheckError(f"nuscenes-devkit does not open the output: {type(error).__name__}: {error}.") from error
+        raise CheckError(f"nuscenes-devkit does not open the dataset: {type(error).__name__}: {error}.") from error
     return boxes

@@ -10,12 +10,35 @@ from pathlib import Path
 import numpy as np
 
 from unidrive_cli.tables.dataset import Dataset
+from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import Scene
 from unidrive_cli.tables.subset import mended_instances, mended_links
 from unidrive_cli.tables.table import RawRows, are_kept, write_rows
 
 WHOLE = ("sensor", "calibrated_sensor", "category", "attribute", "visibility", "log", "map")
 """Tables that stay as they are; they do not grow with the recordings, or only little."""
+DEVKIT_SCENES = 20
+"""So many scenes of a larger dataset are opened with nuscenes-devkit, which keeps every row in memory."""
+
+
+def open_with_devkit(dataset: Dataset, *, whole: bool = False) -> int:
+    """Opens a dataset with nuscenes-devkit: `check_devkit` on it, or on some scenes of a large one.
+
+    Args:
+        whole: all scenes, however many.
+
+    Returns:
+        How many boxes it projected into pictures.
+
+    Raises:
+        CheckError: it refuses, or reads something else.
+    """
+    scenes = dataset.scene.rows
+    if whole or len(scenes) <= DEVKIT_SCENES:
+        return check_devkit(dataset.root, dataset.version, len(dataset.sample_annotation.rows))
+    chosen = [scenes[place] for place in np.linspace(0, len(scenes) - 1, DEVKIT_SCENES).astype(int)]
+    with thinned(dataset, chosen) as (root, annotations):
+        return check_devkit(root, dataset.version, annotations)
 
 
 @contextlib.contextmanager
