@@ -561,7 +561,7 @@ FISHEYE = "distortion: {model: fisheye, coefficients: [0.05, -0.01, 0.002, -0.00
         ("cameras:", "cameras: [", ("is not valid YAML",)),
         ("name: small", "ground_height: 1.7\nname: small", ("CAM_FRONT", "position", "ground")),
         ("name: small", "depth_limit: -1\nname: small", ("depth_limit", "positive")),
-        ("yaw: 0", f"yaw: 0, {FISHEYE}", ("small has lens distortion (CAM_FRONT)", "a virtual camera is a pinhole")),
+        ("yaw: 0", f"yaw: 0, {FISHEYE}", ("small, camera CAM_FRONT", "fisheye", "a virtual camera is a pinhole")),
         (
             "yaw: 0",
             f"yaw: 0, {FISHEYE[:-1]}, k: 1}}",
