@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.datasets import SMALL_RIG, Bench, rows, tree, unidrive
+from tests.datasets import SMALL_RIG, Bench, rows, spawn, tree, unidrive
 from unidrive_cli.rig.yaml_file import parse_rig
 from unidrive_cli.rig.yaml_writing import dump_rig
 from unidrive_cli.tables.dataset import open_dataset
@@ -75,9 +75,11 @@ def test_pictures_masks_and_boxes_hold_only_what_is_common(kernel: str, bench: B
 
 def test_jobs_change_nothing_and_parts_come_to_the_same(bench: Bench, front: Path) -> None:
     bench.converted("--common-with", front)
-    together = bench.folder / "together"
-    bench.converted("--common-with", front, "--jobs", 2, dst=together)
-    assert tree(together, apart=("run.json",)) == tree(bench.dst, apart=("run.json",))
+    for jobs in (1, 2):
+        other = bench.folder / str(jobs)
+        run = spawn("convert", bench.src, other, "--rig", bench.rig, "--common-with", front, "--jobs", jobs)
+        assert run.code == 0, run.stderr
+        assert tree(other, apart=("run.json",)) == tree(bench.dst, apart=("run.json",))
     parts = bench.folder / "parts"
     for part in ("1/2", "2/2"):
         assert bench.convert("--common-with", front, "--part", part, dst=parts).code == 0
