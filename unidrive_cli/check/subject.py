@@ -91,7 +91,7 @@ class Subject:
         Raises:
             DatasetError: one of them cannot be used.
         """
-        return open_dataset(self.folder.parent, self.folder.name)
+        return open_dataset(self.folder.parent, self.folder.name, unfinished=True)
 
     @cached_property
     def shots(self) -> Shots:

@@ -247,18 +247,21 @@ class Dataset:
         return [channel for channel in known if not wanted or channel in wanted]
 
 
-def open_dataset(root: Path, version: str | None = None) -> Dataset:
+def open_dataset(root: Path, version: str | None = None, *, unfinished: bool = False) -> Dataset:
     """Opens the dataset in a folder.
 
     Args:
         root: folder that holds the version folder.
         version: its name; needed where there are several.
+        unfinished: whether one that a command of ours has not finished is opened too.
 
     Raises:
         DatasetError: no such folder, no version folder, or a table that cannot be used.
         UsageError: several version folders and no `version`, or a `version` that is not there.
     """
     try:
+        if not unfinished:
+            refuse_unfinished(root)
         return _open(version_folder(root, version))
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
@@ -314,7 +317,6 @@ def version_folder(root: Path, version: str | None) -> Path:
         raise DatasetError("there is no such folder.", where=str(root))
     if not root.is_dir():
         raise DatasetError("is a file; the folder that holds v1.0-* was expected.", where=str(root))
-    refuse_unfinished(root)
     folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     found = [folder for folder in folders if (folder / "sensor.json").exists()]
     found = [folder for folder in found if (folder / "sample_data.json").exists()] or found
