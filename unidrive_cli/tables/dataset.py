@@ -339,6 +339,7 @@ def version_folder(root: Path, version: str | None) -> Path:
             where=str(root),
             hint=f"Give the folder above it: {root.resolve().parent}.",
         )
+    refuse_unfinished(root)
     raise DatasetError(
         "holds no version folder: no folder with sensor.json and sample_data.json in it.",
         where=str(root),
