@@ -80,7 +80,7 @@ def test_the_total_and_the_worst_are_made_of_their_parts() -> None:
 numbers = st.floats(-1, 1, allow_nan=False)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(
     st.lists(st.tuples(*[numbers] * 7), min_size=1, max_size=6),
     st.floats(12, 120),

@@ -59,7 +59,7 @@ def test_without_a_stretch_common_is_the_and_of_the_static_coverages(names: list
         np.testing.assert_array_equal(mask, expected)
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(st.floats(0.01, 3), st.floats(0, 1), st.sampled_from(["5x70+110", "6x60", "nuscenes-like"]))
 def test_what_is_common_is_filled_from_wherever_the_cameras_stood(stretch_m: float, part: float, name: str) -> None:
     virtual, rig = ring(3, 70, width=120, height=80), load_gallery_rig(name)
