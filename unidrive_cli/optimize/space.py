@@ -122,9 +122,10 @@ class SearchSpace:
         """The smallest and the largest value that the quantity itself can take in any of its cameras."""
         if not parameter.relative:
             return parameter.low, parameter.high
-        starts = [self._start_numbers(channel)[parameter.of] for channel in parameter.cameras]
         if parameter.of == "depth_limit":
             starts = [self.start_depth_limit_m]
+        else:
+            starts = [self._start_numbers(channel)[parameter.of] for channel in parameter.cameras]
         return min(starts) + parameter.low, max(starts) + parameter.high
 
     @cached_property
