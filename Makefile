@@ -20,7 +20,7 @@ $(VENV)/.installed: pyproject.toml
 install: $(VENV)/.installed   ## make .venv and install unidrive into it
 
 test: install         ## run all tests
-	$(BIN)/python -m pytest -n $(WORKERS) $(PYTEST)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST)
 
 check: install        ## ruff and strict mypy
 	$(BIN)/ruff check .

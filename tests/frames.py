@@ -25,14 +25,18 @@ class Rendered:
     sources: dict[str, np.ndarray]
 
 
-def render_samples(root: Path, rig: Rig, version: str | None = None, **options: object) -> list[Rendered]:
-    """All samples of a dataset through a rig."""
+def render_samples(
+    root: Path, rig: Rig, version: str | None = None, token: str | None = None, **options: object
+) -> list[Rendered]:
+    """All samples of a dataset, or the one with a token, through a rig."""
     dataset = open_dataset(root, version)
     plan = make_plan(dataset, rig, Options(**options))
     chosen = plan.options
     renderer = OpenCVRenderer(rig, chosen)
     rendered = []
     for unit in plan.units:
+        if token not in (None, unit.sample.token):
+            continue
         frame = plan.frame(unit)
         sources = [
             read_picture(Path(path), (source.lens.width_px, source.lens.height_px))

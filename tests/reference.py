@@ -132,8 +132,11 @@ def half_ball_points(
     ego_from_cam: np.ndarray,
     depth_limit: float,
     ground_z: float = 0.0,
+    every: int = 1,
 ) -> np.ndarray:
     """Points (H, W, 3), ego frame, metres, where the rays of all pixels leave the half-ball.
+
+    With ``every`` only each ``every``-th row and column is looked at: the shape is smaller by so much.
 
     The half-ball is the ball of radius ``depth_limit`` about the camera, cut by the plane z = ``ground_z``.
     A camera that is not above the ground, or not below ``depth_limit`` above it, is a ValueError.
@@ -142,12 +145,12 @@ def half_ball_points(
     if not 0.0 < origin[2] - ground_z < depth_limit:
         raise ValueError(f"camera {origin[2] - ground_z} m above the ground, depth limit {depth_limit} m")
 
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    u, v = np.meshgrid(np.arange(0.0, width, every), np.arange(0.0, height, every))
     pixels = np.stack([u, v, np.ones_like(u)], axis=-1)
     directions = pixels @ np.linalg.inv(K).T @ ego_from_cam[:3, :3].T
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
 
-    t_ground = np.full((height, width), np.inf)
+    t_ground = np.full(u.shape, np.inf)
     down = directions[..., 2] < 0.0
     t_ground[down] = (ground_z - origin[2]) / directions[..., 2][down]
     t_sphere = depth_limit  # unit directions from the ball's own centre
@@ -207,6 +210,7 @@ def reference_view(
     depth_limit: float,
     ground_z: float,
     ego_motion: bool,
+    every: int = 1,
 ) -> dict[str, np.ndarray]:
     """What is certain about one virtual picture, whatever the blending weights are.
 
@@ -214,11 +218,13 @@ def reference_view(
     among them per channel, 0 (black) where there is none; ``single`` (H, W, 3): the picture where exactly
     one source sees the pixel, NaN elsewhere. ``virtual_camera`` has width, height, K, ego_from_cam;
     ``pictures`` maps a source's channel to its (H, W, 3) picture; depth_limit and ground_z in metres.
+    With ``every`` H and W are those of each ``every``-th row and column.
     """
     width, height = virtual_camera["width"], virtual_camera["height"]
     points = half_ball_points(
-        virtual_camera["K"], width, height, virtual_camera["ego_from_cam"], depth_limit, ground_z
+        virtual_camera["K"], width, height, virtual_camera["ego_from_cam"], depth_limit, ground_z, every
     )
+    height, width = points.shape[:2]
     count = np.zeros((height, width), dtype=np.int64)
     low = np.full((height, width, 3), np.inf)
     high = np.full((height, width, 3), -np.inf)

@@ -1,4 +1,4 @@
-"""Forty broken datasets, rigs and pictures: no traceback, no hang, nothing written outside DST."""
+"""Two hundred broken datasets, rigs and pictures: no traceback, no hang, nothing written outside DST."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.datasets import paint
 from tests.fuzzing import fuzz
 
-CASES, GROUP = 40, 5
+CASES, GROUP = 200, 5
 
 
 @pytest.fixture(scope="module")

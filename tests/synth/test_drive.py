@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Iterator
@@ -39,7 +40,17 @@ cameras:
 """
 VERSION = "v1.0-trainval"
 DRIVE = SynthOptions(seed=5, scenes=2, keyframes=2, instances=True, depth=True)
+HILLS = replace(DRIVE, slope_percent=6.0, ego_tilt_deg=2.0)
 OPTIONS = ("--scenes", "2", "--keyframes", "2", "--seed", "5", "--jobs", "0", "--instances", "--depth")
+
+
+scenes_made = functools.cache(make_scene)
+
+
+@pytest.fixture(autouse=True)
+def scenes_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene takes seconds. Worker processes make their own, and `test_another_seed` makes one twice."""
+    monkeypatch.setattr("unidrive_cli.synth.units.make_scene", scenes_made)
 
 
 def tree(root: Path) -> dict[str, str]:
@@ -73,7 +84,7 @@ def nusc(both: Path) -> NuScenes:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return make_scene(DRIVE, 0)
+    return scenes_made(DRIVE, 0)
 
 
 def test_the_tables_hold(both: Path) -> None:
@@ -164,7 +175,7 @@ def test_actors_lie_inside_their_projected_boxes(nusc: NuScenes, scene: Scene) -
         row["instance_token"]: row
         for row in json.loads((Path(nusc.dataroot) / VERSION / "instance_ids.json").read_text())
     }
-    scenes = scene, make_scene(DRIVE, 1)
+    scenes = scene, scenes_made(DRIVE, 1)
     by_token = {nusc.scene[scene.index]["token"]: scene for scene in scenes}
     seen = 0
     for row, pose, lens, ids, _ in pictures(nusc):
@@ -192,7 +203,7 @@ def test_actors_lie_inside_their_projected_boxes(nusc: NuScenes, scene: Scene) -
 
 def test_unhidden_actors_reach_as_far_as_their_meshes(nusc: NuScenes, scene: Scene) -> None:
     """Triangles painted by OpenCV, at five times the size, are the silhouettes that pictures must show."""
-    by_token = {nusc.scene[scene.index]["token"]: scene for scene in (scene, make_scene(DRIVE, 1))}
+    by_token = {nusc.scene[scene.index]["token"]: scene for scene in (scene, scenes_made(DRIVE, 1))}
     seen = 0
     for row, pose, lens, ids, _ in pictures(nusc):
         drawn = by_token[nusc.get("sample", row["sample_token"])["scene_token"]]
@@ -372,12 +383,9 @@ def test_six_classes_are_there(scene: Scene) -> None:
     }
 
 
-def test_slope_and_tilt_move_the_road_against_the_car() -> None:
-    flat, hilly = (
-        make_scene(SynthOptions(seed=5, keyframes=3, **more), 0)
-        for more in ({}, {"slope_percent": 6.0, "ego_tilt_deg": 2.0})
-    )
-    times = [flat.start_us + 100_000 * step for step in range(10)]
+def test_slope_and_tilt_move_the_road_against_the_car(scene: Scene) -> None:
+    flat, hilly = scene, scenes_made(HILLS, 0)
+    times = [flat.start_us + 60_000 * step for step in range(10)]
     assert all(flat.global_from_ego(t)[2, 2] == 1.0 for t in times)
     tilts = [np.rad2deg(np.arccos(hilly.global_from_ego(t)[2, 2])) for t in times]
     assert 0.5 < max(tilts) < 7
