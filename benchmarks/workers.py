@@ -2,7 +2,7 @@
 
     python benchmarks/workers.py [--data FOLDER] [--rig RIG] [--samples 20 60] [--jobs 1 2]
 
-Runs `convert`'s own units on copies of the genuine nuScenes keyframe, each at its own moment, in loky's worker
+Runs `convert`'s own units on copies of the genuine nuScenes keyframe, each at its own moment, in worker
 processes, start of the processes and loading of the kernel included. Prints one JSON object: seconds by number
 of samples and of workers, the speed-up, and the largest resident memory of a worker.
 """
@@ -19,8 +19,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from joblib.externals.loky import get_reusable_executor
-
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.convert.units import Frame, Job, run_unit
@@ -29,7 +27,7 @@ from unidrive_cli.tables.destination import Destination
 from unidrive_cli.tables.rig_of_dataset import resolve_rig
 from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import prepare
-from unidrive_cli.workers import in_workers
+from unidrive_cli.workers import in_workers, start_server
 
 SHARED = os.environ.get("UNIDRIVE_TEST_DATA") or Path(__file__).parents[1] / ".." / "shared" / "data"
 
@@ -64,6 +62,7 @@ def main() -> None:
     plan = make_plan(open_dataset(chosen.data), rig, Options())
     frame = plan.frame(plan.units[0])
     prepare(plan.toolchain)
+    start_server(["unidrive_cli.warp.prepared"])
     results = []
     for samples in chosen.samples:
         frames = [at_another_moment(frame, number) for number in range(samples)]
@@ -77,7 +76,6 @@ def main() -> None:
                     started = time.monotonic()
                     peaks = list(in_workers(functools.partial(unit_and_memory, job), frames, jobs))
                     seconds = time.monotonic() - started
-                get_reusable_executor().shutdown(wait=True)
                 best[jobs] = min(seconds, best.get(jobs, seconds))
                 memory = max(memory, *peaks)
         first = best[chosen.jobs[0]]

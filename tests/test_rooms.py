@@ -44,7 +44,6 @@ DECLARED = {  # the only things alive at module level, each on purpose
     ("warp/planar.py", "_forms"),  # memo of a pure function
     ("warp/compiled.py", "has_numba"),  # what is installed does not change while a process runs
     ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
-    ("workers.py", "_end_with"),  # once per worker process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process
 }
 

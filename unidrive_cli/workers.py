@@ -4,18 +4,40 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import multiprocessing
 import os
-import select
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from multiprocessing import resource_tracker
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from multiprocessing import connection, forkserver, parent_process, resource_tracker
 from typing import TypeVar
 
 from unidrive_cli.errors import UnidriveError
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def start_server(modules: Sequence[str]) -> None:
+    """Starts the process that workers are forked from, which imports some modules meanwhile.
+
+    A worker that imports them itself, and loads what they load, takes more than a second to start. Called again it
+    does nothing; `in_workers` calls it where nobody has.
+    """
+    multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+    resource_tracker.ensure_running()  # its start would let interrupts through again
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # one process per core
+    try:
+        with _interrupts_held():
+            forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int) -> Iterator[Outcome]:
@@ -27,57 +49,49 @@ def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int
     Raises:
         UnidriveError: a worker was killed.
     """
-    import joblib
-    from joblib.externals.loky import get_reusable_executor
-    from joblib.externals.loky.backend import resource_tracker as loky_tracker
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+    function: object = work
+    while isinstance(function, functools.partial):
+        function = function.func
+    start_server([str(function.__module__)])
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("forkserver")
+    executor = ProcessPoolExecutor(jobs, context, initializer=_end_with_parent)
+    waiting, pending = iter(items), set[Future[Outcome]]()
     try:
-        resource_tracker.ensure_running()  # the start of either would let interrupts through again
-        loky_tracker.ensure_running()
-        with _interrupts_held():
-            attended = functools.partial(_attended, work, os.getpid())
-            outcomes = parallel(joblib.delayed(attended)(item) for item in items)
-        yield from outcomes
-    except KeyboardInterrupt:
-        get_reusable_executor().shutdown(wait=False, kill_workers=True)
-        raise
+        while True:
+            for item in islice(waiting, 2 * jobs - len(pending)):
+                with _interrupts_held():
+                    pending.add(executor.submit(work, item))
+            if not pending:
+                break
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+        executor.shutdown()
     except BrokenProcessPool as error:
         raise UnidriveError(
             "a worker process was killed, most likely because memory ran out.",
             hint="The same command continues; try fewer --jobs.",
         ) from error
+    finally:
+        for process in set(multiprocessing.active_children()) - others:
+            process.kill()
+        executor.shutdown(wait=False, cancel_futures=True)
 
 
-def _attended(work: Callable[[Item], Outcome], parent: int, item: Item) -> Outcome:
-    if os.getpid() != parent:  # one job is done in this process
-        _end_with(parent)
-    return work(item)
-
-
-@functools.lru_cache(maxsize=1)
-def _end_with(parent: int) -> None:
+def _end_with_parent() -> None:
     """Ends this process as soon as its parent has ended: after kill -9 nobody else would tell it.
 
     It could otherwise go on writing into a DST that has been given to another run.
     """
-    try:
-        living = os.pidfd_open(parent)
-    except ProcessLookupError:
-        os._exit(1)
-    except OSError:
-        return  # a kernel before 5.3: what is queued is finished
-    if os.getppid() != parent:  # it had ended already, and the number may be another process's
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
         os._exit(1)
 
-    def wait() -> None:
-        watch = select.poll()
-        watch.register(living, select.POLLIN)
-        watch.poll()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -127,8 +127,8 @@ def test_a_broken_picture_is_said_as_without_a_cluster(bench: Bench, tmp_path: P
     [
         (("--backend", "dask"), ("--backend dask needs the address of a scheduler", "--scheduler")),
         (("--scheduler", "tcp://a:1"), ("--scheduler tcp://a:1 needs --backend dask",)),
-        (("--backend", "loky", "--scheduler", "tcp://a:1"), ("--scheduler tcp://a:1 needs --backend dask",)),
-        (("--backend", "spark"), ("--backend", "loky", "dask")),
+        (("--backend", "processes", "--scheduler", "tcp://a:1"), ("--scheduler tcp://a:1 needs --backend dask",)),
+        (("--backend", "spark"), ("--backend", "processes", "dask")),
     ],
 )
 def test_options_that_do_not_fit_together(bench: Bench, options: tuple[str, ...], words: tuple[str, ...]) -> None:

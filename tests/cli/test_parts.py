@@ -117,7 +117,7 @@ def test_finalise_and_parts_of_a_finished_dataset_change_nothing(bench: Bench) -
 
 def test_finalise_takes_the_config_file_of_convert(bench: Bench) -> None:
     config = bench.folder / "config.yaml"
-    config.write_text("jobs: 0\nquality: 90\nbackend: loky\n")
+    config.write_text("jobs: 0\nquality: 90\nbackend: processes\n")
     assert bench.convert("--config", config, "--part", "1/1").code == 0
     assert finalise(bench, "--config", config).code == 0
 

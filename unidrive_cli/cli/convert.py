@@ -91,7 +91,9 @@ def convert_command(
     unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
     link: Link = LINK,
     jobs: int | None = JOBS,
-    backend: Backend = option("loky", "--backend", help="Processes on this machine, or a Dask cluster's workers."),
+    backend: Backend = option(
+        "processes", "--backend", help="Processes on this machine, or a Dask cluster's workers."
+    ),
     scheduler: str = option("", "--scheduler", help="Address of the Dask scheduler, with --backend dask."),
     part: str | None = option(
         None, "--part", help="Only the i-th of n shares, as i/n; `finalise` follows when all are done."
@@ -143,7 +145,7 @@ def convert_command(
         verify=verify,
         kernel=kernel,
         codec=codec,
-        jobs=jobs_of(jobs),
+        jobs=0 if dry_run else jobs_of(jobs),
         backend=backend,
         scheduler=scheduler,
         space_check=space_check,
@@ -186,6 +188,7 @@ def planned(
     """
     from unidrive_cli.convert.common import Common
     from unidrive_cli.convert.plan import make_plan
+    from unidrive_cli.convert.run import prepare_workers
     from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.destination import check_apart
     from unidrive_cli.tables.rig_of_dataset import resolve_fleet, resolve_rig
@@ -204,7 +207,9 @@ def planned(
     if sweep_m is not None and not rigs:
         raise UsageError("--common-sweep goes with --common-with, or with a fleet file that names `common`.")
     common = Common(tuple(rigs), DEFAULT_SWEEP_M if sweep_m is None else sweep_m) if rigs else None
-    plan = make_plan(open_dataset(src, version), fleet.virtual, options, common)
+    dataset = open_dataset(src, version)
+    prepare_workers(options)
+    plan = make_plan(dataset, fleet.virtual, options, common)
     for note in rig_notes:
         typer.echo(f"note: {note}", err=True)
     return plan

@@ -14,7 +14,7 @@ VerifyLevel = Literal["sample", "full"]
 VisibilityRule = Literal["lower", "keep"]
 UnseenBoxes = Literal["keep", "drop"]
 OnError = Literal["stop", "skip"]
-Backend = Literal["loky", "dask"]
+Backend = Literal["processes", "dask"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Options(WarpChoices):
         verify: `sample` of the pictures decoded at the end, and scenes opened with nuscenes-devkit, or `full`.
         jobs: worker processes; 0 works in this process.
         kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
-        backend: `loky`, processes on this machine, or `dask`, the workers of a cluster.
+        backend: `processes` on this machine, or `dask`, the workers of a cluster.
         scheduler: address of the Dask scheduler; empty without `dask`.
         space_check: refuse to start where the estimate exceeds the free space.
     """
@@ -49,7 +49,7 @@ class Options(WarpChoices):
     jobs: int = 0
     kernel: Kernel = "auto"
     codec: Codec = "auto"
-    backend: Backend = "loky"
+    backend: Backend = "processes"
     scheduler: str = ""
     space_check: bool = True
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 
 from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, relative, write_run
+from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.parts import Part
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
@@ -34,8 +35,7 @@ from unidrive_cli.tables.destination import (
     sweep,
     to_disk,
 )
-from unidrive_cli.warp.render import prepare
-from unidrive_cli.workers import in_workers
+from unidrive_cli.workers import in_workers, start_server
 
 Progress = Callable[[int, int], None]
 """Called with (finished units, all units)."""
@@ -64,6 +64,12 @@ class PartSummary:
     failures: list[Failure]
     left: int
     already_complete: bool = False
+
+
+def prepare_workers(options: Options) -> None:
+    """Lets what workers need be loaded beside the planning."""
+    if options.jobs and options.backend == "processes":
+        start_server([*(["unidrive_cli.warp.prepared"] if options.kernel != "opencv" else []), __name__])
 
 
 def convert(
@@ -297,7 +303,6 @@ def _executor(plan: Plan) -> Executor:
     def here(work: Work, units: Sequence[Unit], frames: Iterable[Frame | Failure]) -> Iterator[Receipt | Failure]:
         if options.jobs == 0 or len(units) == 1:
             return map(work, frames)
-        prepare(plan.toolchain)
         return in_workers(functools.partial(_in_worker, work), frames, min(options.jobs, len(units)))
 
     return here
