@@ -121,6 +121,13 @@ DEBUG = option(False, "--debug", help="Show a traceback with an error.")
 JSON = option(False, "--json", help="Print one JSON object instead of text.")
 VERSION = option(None, "--version", help="Version folder, where the dataset has several.", show_default=False)
 SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
+SPLITS = option(
+    [],
+    "--split",
+    help="Only scenes of this split: nuScenes' own, or in splits.json (repeatable).",
+    show_default=False,
+)
+MAX_SAMPLES = option(None, "--max-samples", help="Only the first N samples, by scene and time.")
 CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
 RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, a dataset folder, or a fleet file."
 COMMON_WITH = option(

@@ -37,9 +37,11 @@ class Common:
         return {"common_with": rigs, "common_sweep_m": self.sweep_m}
 
 
-def with_own_rig(common: Common, dataset: Dataset, options: Options) -> tuple[Common, list[str]]:
-    """The fleet and the dataset's most frequent rig, as far as its cameras are used; and notes."""
-    own, notes = rig_of_dataset(dataset, options.scenes, size_of_file)
+def with_own_rig(
+    common: Common, dataset: Dataset, options: Options, scenes: tuple[str, ...]
+) -> tuple[Common, list[str]]:
+    """The fleet and the dataset's most frequent rig in some scenes, as far as its cameras are used; and notes."""
+    own, notes = rig_of_dataset(dataset, scenes, size_of_file)
     used = tuple(camera for camera in own.cameras if not options.cameras or camera.channel in options.cameras)
     if any(_same_cameras(used, rig.cameras) for rig in common.rigs):
         return common, notes

@@ -16,16 +16,17 @@ import numpy as np
 from unidrive_cli import __version__
 from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
-from unidrive_cli.convert.plan import Plan
+from unidrive_cli.convert.plan import Plan, scene_names
 from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.verify import Verified, verify_staged
-from unidrive_cli.errors import OutputError
+from unidrive_cli.errors import DatasetError, OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
+from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
 from unidrive_cli.tables.table import RawRows, write_rows
 from unidrive_cli.warp.common import blanks_of
 from unidrive_cli.warp.pictures import encode_mask, size_of_file
@@ -86,6 +87,7 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         staged.mkdir(parents=True)
         tables.write(_writer(staged))
         extra_files = _extra_tables(plan, tables, staged, notes)
+        _splits(plan, scene_names(unit for unit in plan.units if unit.sample.token in receipts), staged, notes)
         carried, missing = _carry_files(plan, destination, tables, extra_files, notes)
         _map_pictures(plan, destination, notes)
         if plan.options.masks == "camera":
@@ -150,6 +152,8 @@ def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[st
     """Writes the extra tables; returns the files that their rows name."""
     files: list[str] = []
     for name, kept in tables.extra_tables():
+        if name == SPLITS:
+            continue
         source = plan.dataset.extra_tables[name]
         left = len(source.rows or []) - len(kept)
         if left:
@@ -161,6 +165,22 @@ def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[st
             shutil.copyfile(source.path, folder / source.path.name)
         files.extend(filename for row in kept if (filename := source.filename(row)))
     return files
+
+
+def _splits(plan: Plan, scenes: tuple[str, ...], folder: Path, notes: list[str]) -> None:
+    """Writes `splits.json` where the source has one, or the devkit would not find the scenes without it."""
+    target, source = folder / f"{SPLITS}.json", plan.dataset.folder / f"{SPLITS}.json"
+    try:
+        splits = own_splits(plan.dataset)
+    except DatasetError as error:
+        notes.append(f"{error.sentence} It goes along as it is.")
+        shutil.copyfile(source, target)
+        return
+    written = findable(trimmed(splits, scenes), scenes)
+    if written and written == splits:
+        shutil.copyfile(source, target)
+    elif written:
+        target.write_bytes(_json(written))
 
 
 def _carry_files(
@@ -194,7 +214,7 @@ def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> Non
 def _camera_masks(plan: Plan, destination: Destination) -> None:
     """Static coverage: the source's most frequent rig, all cameras at one moment."""
     options = plan.options
-    rig, _ = rig_of_dataset(plan.dataset, options.scenes, size_of_file)
+    rig, _ = rig_of_dataset(plan.dataset, scene_names(plan.units), size_of_file)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
     sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
     views = virtual_views(plan.rig, options.depth_limit_m, options.ground_height_m)

@@ -23,7 +23,9 @@ class Options(WarpChoices):
 
     Attributes:
         quality: JPEG quality, 1 to 100.
-        scenes, cameras: names; all where empty.
+        scenes, splits, cameras: names; all where empty. A scene must have one of the names and be in one of
+            the splits.
+        max_samples: only so many samples, the first by scene and time; all where None.
         masks: one coverage mask per picture, one per virtual camera, or none.
         visibility: `lower` it where the virtual rig shows less of a box, or `keep`.
         unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
@@ -39,6 +41,8 @@ class Options(WarpChoices):
 
     quality: int = 95
     scenes: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
+    max_samples: int | None = None
     cameras: tuple[str, ...] = ()
     masks: Masks = "frame"
     visibility: VisibilityRule = "lower"
@@ -57,6 +61,8 @@ class Options(WarpChoices):
         if not 1 <= self.quality <= 100:
             raise UsageError(f"--quality must be from 1 to 100, got {self.quality}.")
         super().__post_init__()
+        if self.max_samples is not None and self.max_samples < 1:
+            raise UsageError(f"--max-samples must be 1 or more, got {self.max_samples}.")
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
         if self.backend == "dask" and not self.scheduler:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,7 @@ from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
+from unidrive_cli.tables.splits import scenes_of
 from unidrive_cli.warp.common import CommonMasks, common_masks
 from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
@@ -193,7 +195,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         _check_filenames(dataset)
         decoding.result()
     channels = set(dataset.camera_channels(options.cameras))
-    units = list(_units(dataset, rig, options, channels))
+    units = list(itertools.islice(_units(dataset, rig, options, channels), options.max_samples))
     if not units:
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
     if not any(unit.sources for unit in units):
@@ -201,7 +203,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
     notes.extend(_source_notes(dataset, units, channels, surfaces))
     notes.extend(consumer_notes(rig, dataset))
     if common:
-        common, more = with_own_rig(common, dataset, options)
+        common, more = with_own_rig(common, dataset, options, scene_names(units))
         notes.extend(more)
     plan = Plan(dataset, rig, options, toolchain, units, notes, common)
     _check_cameras(plan)
@@ -211,6 +213,11 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
             f"Nothing of {channel} is common: its pictures are black." for channel, share in shares if not share
         )
     return plan
+
+
+def scene_names(units: Iterable[Unit]) -> tuple[str, ...]:
+    """The scenes that samples are of, in their order."""
+    return tuple(dict.fromkeys(unit.scene.name for unit in units))
 
 
 def _mended_links(dataset: Dataset) -> list[str]:
@@ -296,7 +303,7 @@ def _check_filenames(dataset: Dataset) -> None:
 def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:
     logfiles = {row.token: row.logfile for row in dataset.log.rows}
     names: Counter[str] = Counter()
-    for scene in dataset.scenes_named(options.scenes):
+    for scene in scenes_of(dataset, options.scenes, options.splits):
         stem = _file_stem(logfiles.get(scene.log_token, "") or scene.name)
         for sample in dataset.samples_of_scene[scene.token]:
             reference = reference_of(dataset, sample)
