@@ -284,6 +284,11 @@ def test_an_anchor_that_holds_itself() -> None:
     assert "CAM_FRONT" in refusal("name: a\ncameras: &c\n  CAM_FRONT: *c\n")
 
 
+def test_an_anchor_given_twice_adds_no_warning_to_the_sentence(recwarn: pytest.WarningsRecorder) -> None:
+    assert "CAM_FRONT" in refusal("name: &a x\ncameras: &a\n  CAM_FRONT: *a\n")
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize("opening", ["[", "{a: "])
 def test_a_pit_of_brackets_is_refused(opening: str) -> None:
     assert "not valid YAML" in refusal("name: " + opening * 500)

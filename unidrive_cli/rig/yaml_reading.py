@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import YAMLError
+from ruamel.yaml.error import YAMLError, YAMLWarning
 
 from unidrive_cli.errors import GeometryError, RigError, did_you_mean
 from unidrive_cli.geometry.lenses import MAX_SIDE_PX
@@ -48,7 +49,9 @@ def parse_yaml(text: str, source: str) -> Any:
         RigError: not YAML, or a key given twice.
     """
     try:
-        return YAML(typ="rt").load(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", YAMLWarning)
+            return YAML(typ="rt").load(text)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{source}, line {mark.line + 1}" if mark is not None else source
