@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 from nuscenes.nuscenes import NuScenes
 from typer.testing import CliRunner
 
@@ -219,3 +220,15 @@ def assert_consistent(root: Path, version: str = VERSION) -> NuScenes:
         for token in sample["data"].values():
             nusc.get_sample_data(token)
     return nusc
+
+
+def in_own_mounts(script: str, folder: Path) -> Run:
+    """Runs a shell script in a mount namespace of its own."""
+    if shutil.which("unshare") is None or subprocess.run(["unshare", "-m", "true"], check=False).returncode:
+        pytest.skip("no mount namespace can be made here")
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-ec", script], cwd=folder, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert "Traceback" not in done.stderr
+    assert "unidrive: unexpected" not in done.stderr
+    return Run(done.returncode, done.stdout, done.stderr)

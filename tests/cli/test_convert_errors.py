@@ -27,8 +27,8 @@ from tests.datasets import (
     VERSION,
     Bench,
     Row,
-    Run,
     assert_consistent,
+    in_own_mounts,
     paint,
     rows,
     rows_of,
@@ -1232,18 +1232,6 @@ def test_what_may_not_be_read_or_written(
     assert not bench.dst.exists()
 
 
-def in_own_mounts(script: str, folder: Path) -> Run:
-    """Runs a shell script in a mount namespace of its own."""
-    if shutil.which("unshare") is None or subprocess.run(["unshare", "-m", "true"], check=False).returncode:
-        pytest.skip("no mount namespace can be made here")
-    done = subprocess.run(
-        ["unshare", "-m", "sh", "-ec", script], cwd=folder, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert "Traceback" not in done.stderr
-    assert "unidrive: unexpected" not in done.stderr
-    return Run(done.returncode, done.stdout, done.stderr)
-
-
 def test_dst_is_on_a_read_only_disk(bench: Bench) -> None:
     command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs 0"
     run = in_own_mounts(f"mkdir disk && mount -t tmpfs -o ro tmpfs disk && {command}", bench.folder)
@@ -1252,10 +1240,10 @@ def test_dst_is_on_a_read_only_disk(bench: Bench) -> None:
     assert "Read-only file system" in run.said
 
 
-@pytest.mark.parametrize("kilobytes", [4, 8, 64, 300])
-def test_a_full_disk_is_said_and_the_same_command_continues(bench: Bench, kilobytes: int) -> None:
+@pytest.mark.parametrize(("kilobytes", "jobs"), [(4, 0), (8, 0), (64, 0), (64, 2), (300, 0)])
+def test_a_full_disk_is_said_and_the_same_command_continues(bench: Bench, kilobytes: int, jobs: int) -> None:
     """Full before the plan is written, among the pictures, and among the lidar files."""
-    command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs 0 --link copy --no-space-check"
+    command = f"{SCRIPT} convert src disk/dst --rig rig.yaml --jobs {jobs} --link copy --no-space-check"
     script = f"""
         mkdir disk && mount -t tmpfs -o size={kilobytes}k tmpfs disk
         {command} && exit 99 || echo code $?
@@ -1268,6 +1256,23 @@ def test_a_full_disk_is_said_and_the_same_command_continues(bench: Bench, kiloby
     assert "No space left on device" in run.said
     assert run.code == 0, run.stderr
     assert_consistent(bench.dst)
+
+
+def test_files_that_differ_by_case_on_a_disk_that_takes_no_notice_of_it(bench: Bench) -> None:
+    """Such a disk finds `plan.json` under the name `PLAN.JSON` too; here that is a file of its own."""
+    one, two = (row["filename"] for row in rows_of(bench.src, "lidar")[:2])
+    twin = one.upper().replace("SAMPLES/LIDAR_TOP", "samples/LIDAR_TOP")
+    (bench.src / two).rename(bench.src / twin)
+    bench.edit("sample_data", lambda found: [row.update(filename=twin) for row in found if row["filename"] == two])
+    bench.converted()
+    bench.dst = bench.folder / "other"
+    assert bench.convert("--part", "1/3").code == 0
+    (bench.dst / ".unidrive" / "PLAN.JSON").write_text("")
+    run = bench.convert()
+    assert run.code == 4
+    assert one in run.said
+    assert twin in run.said
+    assert "takes no notice of case" in run.said
 
 
 def test_a_disk_that_is_too_small_is_said_before_the_start(bench: Bench) -> None:

@@ -76,6 +76,21 @@ def test_what_failed_in_a_run_that_was_stopped_is_known_to_the_next(broken: Benc
     broken.converted("--only-failed")
 
 
+@pytest.mark.parametrize("place", ["variable", "config"])
+def test_only_failed_by_variable_and_by_file(broken: Bench, painted: Path, tmp_path: Path, place: str) -> None:
+    assert broken.convert("--part", "1/2", *SKIP).code == 1
+    mend(broken, painted, 0)
+    config = tmp_path / "options.yaml"
+    config.write_text("only-failed: true\n")
+    run = (
+        broken.convert(env={"UNIDRIVE_ONLY_FAILED": "1"})
+        if place == "variable"
+        else broken.convert("--config", config, "--jobs", 0)
+    )
+    assert run.code == 1
+    assert "2 samples are not converted yet" in run.said
+
+
 def test_only_failed_needs_a_conversion(bench: Bench) -> None:
     bench.refused(2, "holds no conversion of which samples could have failed", options=("--only-failed",))
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -137,6 +139,31 @@ def test_fix_gives_the_tables_back(bench: Bench, monkeypatch: pytest.MonkeyPatch
     assert run.code == 0
     assert "fixed" not in run.stdout
     assert tree(bench.src) == before
+
+
+KILLED_AT_A_RENAME = """
+import os, sys
+from unidrive_cli.cli.main import app
+
+left, rename = iter(range(int(sys.argv[1]))), os.replace
+os.replace = lambda *names: os._exit(9) if next(left, None) is None else rename(*names)
+app(["validate", sys.argv[2], "--fix"])
+"""
+
+
+@pytest.mark.parametrize("renames", range(5))
+def test_fix_that_is_killed_is_continued(bench: Bench, renames: int) -> None:
+    """Killed before the first, second, ... table takes its place: each is the old one or the mended one."""
+    whole = {path.name: path.read_bytes() for path in (bench.src / VERSION).glob("*.json")}
+    break_lists(bench)
+    killed = subprocess.run([sys.executable, "-c", KILLED_AT_A_RENAME, str(renames), bench.src], check=False)
+    assert killed.returncode == 9
+    for path in (bench.src / VERSION).glob("*.json"):
+        json.loads(path.read_bytes())
+    assert unidrive("validate", bench.src, "--fix").code == 0
+    again = {path.name: json.loads(path.read_bytes()) for path in (bench.src / VERSION).glob("*.json")}
+    assert again == {name: json.loads(data) for name, data in whole.items()}
+    assert not list((bench.src / VERSION).glob("*.part"))
 
 
 def test_fix_changes_no_other_name_of_a_file(bench: Bench) -> None:

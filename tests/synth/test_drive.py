@@ -17,7 +17,7 @@ from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.geometry_utils import box_in_image, view_points
 from nuscenes.utils.splits import create_splits_scenes
 
-from tests.datasets import unidrive
+from tests.datasets import SCRIPT, in_own_mounts, unidrive
 from unidrive_cli.check.validation import find_subject, validate
 from unidrive_cli.geometry import poses
 from unidrive_cli.geometry.lenses import Pinhole
@@ -400,6 +400,7 @@ def test_slope_and_tilt_move_the_road_against_the_car(scene: Scene) -> None:
 BAD = {
     "inside the ego car": ("position: [1.5, 0.2, 1.6]", "position: [1.5, 0.2, 0.8]", "inside the ego car", 2),
     "below ground": ("position: [1.5, 0.2, 1.6]", "position: [1.5, 0.2, -0.3]", "above it", 2),
+    "as the lidar": ("CAM_BACK:", "lidar_top:", "LIDAR_TOP and lidar_top differ only by case", 2),
     "in a building": ("position: [1.5, 0.2, 1.6]", "position: [1.5, 18, 1.6]", "inside a building", 2),
 }
 
@@ -433,6 +434,24 @@ def test_bad_options_are_one_sentence(arguments: tuple[str, ...], words: str, tm
     assert run.code == 2
     assert words in run.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_two_rigs_of_one_name_are_refused(rigs: dict[str, Path], tmp_path: Path) -> None:
+    """On some disks `narrow` and `Narrow` are one folder."""
+    other = tmp_path / "other.yaml"
+    other.write_text(RIG.format(name="Narrow", hfov=50))
+    run = unidrive("synth", tmp_path / "out", "--rig", rigs["narrow"], "--rig", other, *OPTIONS)
+    assert run.code == 2
+    assert "two rigs have this name" in run.stderr
+
+
+def test_a_disk_that_is_too_small_is_said_before_the_start(tmp_path: Path) -> None:
+    """One key frame: six pictures of 0.3 MB, a cloud of 0.7."""
+    command = f"{SCRIPT} synth disk/out --rig 6x60 --keyframes 1 --jobs 0"
+    run = in_own_mounts(f"mkdir disk && mount -t tmpfs -o size=2m tmpfs disk && {command}", tmp_path)
+    assert run.code == 4
+    assert "will take about 0.002" in run.stderr
+    assert "--no-space-check" in run.stderr
 
 
 def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path, rigs: dict[str, Path]) -> None:

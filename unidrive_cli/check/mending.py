@@ -101,7 +101,8 @@ def _rewrite(path: Path, table: Table[Any], changes: Changes) -> None:
         write_rows(path, table.runs(np.arange(len(table.rows)), changes))
     except OSError as error:
         with contextlib.suppress(OSError):
-            path.with_name(path.name + ".part").unlink()
+            for end in (".part", ".bak.part"):
+                path.with_name(path.name + end).unlink(missing_ok=True)
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(path)) from error
 
 
@@ -116,5 +117,7 @@ def _keep(path: Path) -> None:
         except FileExistsError:
             number += 1
         except OSError:
-            shutil.copy2(path, backup)
+            half_written = path.with_name(f"{path.name}.bak.part")
+            shutil.copy2(path, half_written)
+            half_written.rename(backup)
             return

@@ -41,6 +41,9 @@ def synth_command(
         "auto", "--renderer", help="GL, rays on the CPU, or GL where it can be had (auto)."
     ),
     jobs: int | None = JOBS,
+    space_check: bool = option(
+        True, "--space-check/--no-space-check", help="Refuse to start where the estimate exceeds the free space."
+    ),
     force: bool = option(False, "--force", help="Replace a DST that holds another synthetic drive."),
     as_json: bool = JSON,
     config: Path | None = CONFIG,
@@ -76,7 +79,9 @@ def synth_command(
     samples = plural(plan.options.samples_per_pixel, "sample")
     typer.echo(f"renderer: {plan.renderer_name}, {samples} per pixel", err=True)
     with Progress("samples", sys.stderr) as progress:
-        summaries = synthesise(plan, dst, jobs=jobs_of(jobs), force=force, progress=progress)
+        summaries = synthesise(
+            plan, dst, jobs=jobs_of(jobs), force=force, space_check=space_check, progress=progress
+        )
     if as_json:
         typer.echo(json.dumps({"schema_version": 1, "datasets": [asdict(summary) for summary in summaries]}))
         return

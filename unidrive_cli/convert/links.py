@@ -59,6 +59,25 @@ def carried_files(dataset: Dataset, kept: Bool, extra_files: Iterable[str]) -> I
     yield from sorted(named)
 
 
+def check_names_apart(dataset: Dataset, destination: Destination) -> None:
+    """Refuses files that would be one on DST's disk, where that takes no notice of case.
+
+    Raises:
+        OutputError: two names of carried files differ only by case.
+    """
+    if not destination.folds_case:
+        return
+    seen: dict[str, str] = {}
+    for name in carried_files(dataset, ~dataset.of_cameras, ()):
+        other = seen.setdefault(name.lower(), name)
+        if other != name:
+            raise OutputError(
+                f"takes no notice of case, and the source has {other} and {name}, which would be one file.",
+                where=str(destination.root),
+                hint="Choose a DST on a disk that tells them apart.",
+            )
+
+
 def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) -> bool:
     """Brings one file of the source into the destination; False where the source does not have it.
 

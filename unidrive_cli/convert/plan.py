@@ -34,7 +34,7 @@ from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
 from unidrive_cli.tables.splits import scenes_of
 from unidrive_cli.warp.common import CommonMasks, common_masks
-from unidrive_cli.warp.pictures import check_size, read_head, size_of_file
+from unidrive_cli.warp.pictures import check_size, jpeg_bytes, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
 
@@ -51,8 +51,6 @@ STANDARD_CHANNELS = (
 )
 STANDARD_SIZE_PX = (1600, 900)
 MAX_TIMESTAMP = 2**63
-_JPEG_QUALITIES = (50, 80, 90, 95, 100)
-_JPEG_BYTES_PER_PIXEL = (0.06, 0.11, 0.145, 0.21, 0.55)
 _MASK_BYTES = 4_000
 _ROW_BYTES = 700
 
@@ -168,10 +166,9 @@ class Plan:
         samples = len(self.units) if samples is None else samples
         pictures = samples * len(self.rig.cameras)
         pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in self.rig.cameras)
-        per_pixel = float(np.interp(self.options.quality, _JPEG_QUALITIES, _JPEG_BYTES_PER_PIXEL))
         masks = _MASK_BYTES * pictures if self.options.masks == "frame" else 0
         tables = self.dataset.sample_annotation.size_bytes + _ROW_BYTES * self.picture_count
-        return int(pixels * per_pixel) * samples + masks + tables
+        return jpeg_bytes(pixels, self.options.quality) * samples + masks + tables
 
 
 def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | None = None) -> Plan:
@@ -269,14 +266,7 @@ def _check_channels(dataset: Dataset, rig: Rig) -> None:
     for channel in rig.channels:
         if channel in others:
             raise RigError(f"{channel} is a channel of another sensor in {dataset.folder}.", where=rig.name)
-    folders = {channel.lower(): channel for channel in others}
-    for channel in rig.channels:
-        other = folders.setdefault(channel.lower(), channel)
-        if other != channel:
-            raise RigError(
-                f"the channels {other} and {channel} differ only by case; on some disks they are one folder.",
-                where=rig.name,
-            )
+    rig.check_folders(others)
 
 
 def _check_filenames(dataset: Dataset) -> None:
@@ -311,9 +301,10 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
                 place = dataset.sample_data.place(reference, "timestamp")
                 raise DatasetError(f"{reference.timestamp:g} is no time in microseconds.", where=place)
             timestamp = str(round(reference.timestamp))
-            names[stem + timestamp] += 1
-            if names[stem + timestamp] > 1:
-                timestamp += f"-{names[stem + timestamp]}"
+            name = (stem + timestamp).lower()  # on some disks names that differ by case are one
+            names[name] += 1
+            if names[name] > 1:
+                timestamp += f"-{names[name]}"
             cameras = cameras_of(dataset, sample, reference)
             yield Unit(
                 scene,

@@ -13,12 +13,13 @@ from pathlib import Path
 import cv2
 
 from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summary, relative, write_run
+from unidrive_cli.convert.links import check_names_apart
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.parts import Part
 from unidrive_cli.convert.plan import Plan, Unit
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
 from unidrive_cli.convert.verify import verify
-from unidrive_cli.errors import CheckError, DatasetError, OutputError, UnidriveError, UsageError
+from unidrive_cli.errors import CheckError, DatasetError, UnidriveError, UsageError
 from unidrive_cli.tables.converted import WORK
 from unidrive_cli.tables.destination import (
     RECEIPTS,
@@ -27,8 +28,8 @@ from unidrive_cli.tables.destination import (
     begin,
     check_apart,
     check_destination,
+    check_space,
     finish,
-    free_bytes,
     held,
     join,
     resolved_destination,
@@ -249,8 +250,10 @@ def _run_units(
     failures: list[Failure] = []
     if progress:
         progress(len(receipts), len(units))
-    if missing and plan.options.space_check:
-        _check_space(plan, destination, len(missing))
+    if missing:
+        check_names_apart(plan.dataset, destination)
+        if plan.options.space_check:
+            check_space(destination, plan.estimated_bytes(len(missing)))
     common = plan.common_masks if missing else None
     job = Job(destination, plan.rig, plan.options, plan.toolchain, plan.digest, common)
     skip = plan.options.on_error == "skip"
@@ -268,17 +271,6 @@ def _run_units(
             progress(len(receipts) + len(failures), len(units))
     failures.sort(key=lambda failure: failure.sample_token)
     return receipts, failures
-
-
-def _check_space(plan: Plan, destination: Destination, samples: int) -> None:
-    needed, free = plan.estimated_bytes(samples), free_bytes(destination.root)
-    if needed > free:
-        raise OutputError(
-            f"pictures, masks and tables will take about {needed / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free.",
-            where=str(destination.root),
-            hint="Free some, or start all the same with --no-space-check: where the disk is full the run stops, "
-            "and the same command continues.",
-        )
 
 
 def _executor(plan: Plan) -> Executor:

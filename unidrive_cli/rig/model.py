@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -100,6 +101,24 @@ class Rig:
         for channel in channels:
             if channels.count(channel) > 1:
                 raise RigError(f"channel {channel} is given twice; channel names must be unique.", where=self.name)
+
+    def check_folders(self, others: Iterable[str] = ()) -> None:
+        """Refuses channels that some disks take for one folder.
+
+        Args:
+            others: channels of other sensors beside the cameras.
+
+        Raises:
+            RigError: two of all these channels differ only by case.
+        """
+        folders = {channel.lower(): channel for channel in others}
+        for channel in self.channels:
+            other = folders.setdefault(channel.lower(), channel)
+            if other != channel:
+                raise RigError(
+                    f"the channels {other} and {channel} differ only by case; on some disks they are one folder.",
+                    where=self.name,
+                )
 
     @property
     def channels(self) -> tuple[str, ...]:

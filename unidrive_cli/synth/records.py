@@ -19,6 +19,7 @@ from unidrive_cli.synth.options import SynthOptions
 from unidrive_cli.synth.stage import FIRST_ACTOR_ID
 from unidrive_cli.synth.units import Receipt, Record, Sighting
 from unidrive_cli.synth.visibility import level_of
+from unidrive_cli.tables.dataset import LIDAR_REFERENCE
 from unidrive_cli.tables.schema import NUSCENES_VISIBILITY
 
 CATEGORIES = {
@@ -40,7 +41,6 @@ ATTRIBUTES = (
 )
 INSTANCE_IDS = "instance_ids"
 SPLITS = "splits"
-_LIDAR = "LIDAR_TOP"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,9 @@ def fixed_tables(options: SynthOptions, rig: Rig) -> dict[str, list[bytes]]:
         "calibrated_sensor": [],
     }
     lidar_pose = ego_from_lidar()
-    sensors: list[tuple[str, str, Any, dict[str, Any]]] = [(_LIDAR, "lidar", lidar_pose, {"camera_intrinsic": []})]
+    sensors: list[tuple[str, str, Any, dict[str, Any]]] = [
+        (LIDAR_REFERENCE, "lidar", lidar_pose, {"camera_intrinsic": []})
+    ]
     for camera in rig.cameras:
         sensors.append((camera.channel, "camera", camera.ego_from_cam, calibration_of(camera.lens)))
     for channel, modality, pose, more in sensors:
@@ -122,7 +124,7 @@ def scene_tables(options: SynthOptions, rig: Rig, scene: int, name: str, receipt
         )
     )
     for place, (receipt, own) in enumerate(zip(receipts, samples, strict=True)):
-        key = next(record for record in receipt.records if record.channel == _LIDAR and record.is_key_frame)
+        key = next(record for record in receipt.records if record.channel == LIDAR_REFERENCE and record.is_key_frame)
         rows["sample"].append(
             _row(token=own, timestamp=key.timestamp_us, **_links(samples, place), scene_token=scene_token)
         )
@@ -155,7 +157,7 @@ def _sensor_rows(
     entries: Sequence[tuple[str, Record]],
 ) -> None:
     """sample_data and ego_pose rows of one sensor in one scene, with (sample token, record) in order of time."""
-    whose = () if channel == _LIDAR else (rig.digest,)
+    whose = () if channel == LIDAR_REFERENCE else (rig.digest,)
     tokens = [token(options, "sample_data", *whose, scene, channel, record.timestamp_us) for _, record in entries]
     for place, (sample_token, record) in enumerate(entries):
         own = tokens[place]
@@ -169,7 +171,7 @@ def _sensor_rows(
                 ego_pose_token=own,
                 calibrated_sensor_token=_calibration_token(options, rig, channel),
                 timestamp=record.timestamp_us,
-                fileformat="pcd" if channel == _LIDAR else "jpg",
+                fileformat="pcd" if channel == LIDAR_REFERENCE else "jpg",
                 is_key_frame=record.is_key_frame,
                 height=size_px[1],
                 width=size_px[0],
@@ -241,7 +243,7 @@ def _annotated(track: Sequence[tuple[int, Sighting]]) -> list[tuple[int, Sightin
 
 
 def _calibration_token(options: SynthOptions, rig: Rig, channel: str) -> str:
-    whose = () if channel == _LIDAR else (rig.digest,)
+    whose = () if channel == LIDAR_REFERENCE else (rig.digest,)
     return token(options, "calibrated_sensor", *whose, channel)
 
 

@@ -19,12 +19,13 @@ import numpy as np
 from unidrive_cli import __version__
 from unidrive_cli.errors import CheckError, OutputError, RigError, UnidriveError
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.synth.firing import CAMERA_SWEEPS, LIDAR_SWEEPS
 from unidrive_cli.synth.options import RendererChoice, SynthOptions
 from unidrive_cli.synth.records import INSTANCE_IDS, SPLITS, fixed_tables, scene_names, scene_tables
 from unidrive_cli.synth.renderers import renderer_name
 from unidrive_cli.synth.scene import inside_ego_car
 from unidrive_cli.synth.units import Batch, Receipt, Target, read_receipt, run_batch
-from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset, open_dataset
 from unidrive_cli.tables.destination import (
     RUN,
     Destination,
@@ -32,6 +33,7 @@ from unidrive_cli.tables.destination import (
     as_finished,
     begin,
     check_destination,
+    check_space,
     finish,
     held,
     resolved_destination,
@@ -40,12 +42,15 @@ from unidrive_cli.tables.destination import (
 from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import TABLES
 from unidrive_cli.tables.table import write_rows
+from unidrive_cli.warp.pictures import jpeg_bytes
 from unidrive_cli.workers import in_workers
 
 PROVENANCE = "synth.json"
 METHOD = 4
 """Version of what the pictures and tables depend on; a change of results raises it."""
 _BATCH = 20
+_CLOUD_BYTES, _ROWS_BYTES = 690_000, 40_000
+_DEPTH_BYTES_PER_PIXEL, _INSTANCE_BYTES_PER_PIXEL = 0.073, 0.0142
 Progress = Callable[[int, int], None]
 """Called with (finished samples, all samples)."""
 
@@ -73,6 +78,19 @@ class SynthPlan:
             "options": self.options.identity(),
             "codec": {"encode": f"opencv {cv2.__version__}"},
         }
+
+    def estimated_bytes(self, rig: Rig, samples: int) -> int:
+        """Disk that so many samples through a rig will take, roughly."""
+        options = self.options
+        pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in rig.cameras)
+        planes = int(
+            pixels * (options.depth * _DEPTH_BYTES_PER_PIXEL + options.instances * _INSTANCE_BYTES_PER_PIXEL)
+        )
+        pictures = CAMERA_SWEEPS if options.sweeps else 1
+        clouds = LIDAR_SWEEPS if options.sweeps else 1
+        return samples * (
+            pictures * jpeg_bytes(pixels, options.quality) + planes + clouds * _CLOUD_BYTES + _ROWS_BYTES
+        )
 
     def place(self, root: Path, rig: Rig) -> Path:
         """Where a rig's dataset goes: DST itself, or a folder of the rig's name where there are several."""
@@ -106,10 +124,11 @@ def make_synth_plan(options: SynthOptions, rigs: Sequence[Rig], renderer: Render
         UsageError: more scenes than there are names, or a renderer that cannot be had.
     """
     scene_names(options)
-    names = [rig.name for rig in rigs]
+    names = [rig.name.lower() for rig in rigs]
     for rig in rigs:
-        if names.count(rig.name) > 1:
-            raise RigError("two rigs have this name, which names their folders.", where=rig.name)
+        if names.count(rig.name.lower()) > 1:
+            raise RigError("two rigs have this name (capitals apart), which names their folders.", where=rig.name)
+        rig.check_folders([LIDAR_REFERENCE])
         if len(rigs) > 1 and (not rig.name.strip(".") or "/" in rig.name or "\0" in rig.name or len(rig.name) > 100):
             raise RigError("is no name for a folder; several rigs need names that are.", where=rig.name[:100])
         for camera in rig.cameras:
@@ -129,7 +148,13 @@ def make_synth_plan(options: SynthOptions, rigs: Sequence[Rig], renderer: Render
 
 
 def synthesise(
-    plan: SynthPlan, root: Path, *, jobs: int = 0, force: bool = False, progress: Progress | None = None
+    plan: SynthPlan,
+    root: Path,
+    *,
+    jobs: int = 0,
+    force: bool = False,
+    space_check: bool = True,
+    progress: Progress | None = None,
 ) -> list[SynthSummary]:
     """Makes the datasets of a plan; the same call continues one that was stopped.
 
@@ -137,6 +162,7 @@ def synthesise(
         root: DST.
         jobs: worker processes; 0 works in this process.
         force: replace drives with other options.
+        space_check: refuse to start where the estimate exceeds the free space.
         progress: told after every batch of samples.
 
     Raises:
@@ -167,7 +193,7 @@ def synthesise(
             targets.append(Target(rig, begun))
         try:
             if targets:
-                _run_batches(plan, targets, jobs, progress)
+                _run_batches(plan, targets, jobs, progress, space_check=space_check)
             for target in targets:
                 summaries.append(_finalise(plan, target, time.monotonic() - started))
         except BaseException:
@@ -178,10 +204,12 @@ def synthesise(
     return sorted(summaries, key=lambda summary: order.index(summary.rig))
 
 
-def _run_batches(plan: SynthPlan, targets: Sequence[Target], jobs: int, progress: Progress | None) -> None:
+def _run_batches(
+    plan: SynthPlan, targets: Sequence[Target], jobs: int, progress: Progress | None, *, space_check: bool
+) -> None:
     options = plan.options
     total, done = options.scenes * options.keyframes, 0
-    batches = []
+    batches, needed_bytes = [], 0
     length = min(_BATCH, -(-total // max(jobs, 1)))
     for scene in range(options.scenes):
         missing = []
@@ -189,10 +217,13 @@ def _run_batches(plan: SynthPlan, targets: Sequence[Target], jobs: int, progress
             lacking = tuple(target for target in targets if read_receipt(target.destination, scene, sample) is None)
             if lacking:
                 missing.append((sample, lacking))
+                needed_bytes += sum(plan.estimated_bytes(target.rig, 1) for target in lacking)
             else:
                 done += 1
         for first in range(0, len(missing), length):
             batches.append(Batch(options, plan.renderer, scene, tuple(missing[first : first + length])))
+    if space_check:
+        check_space(targets[0].destination, needed_bytes)
     if progress:
         progress(done, total)
     if jobs == 0 or len(batches) <= 1:

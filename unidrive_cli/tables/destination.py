@@ -62,6 +62,11 @@ class Destination:
         """Whether this is a dataset of ours that was completed and verified."""
         return (self.root / self.provenance).is_file() and not self.work.exists()
 
+    @property
+    def folds_case(self) -> bool:
+        """Whether names that differ only by case are one file here; known once `begin` or `join` were called."""
+        return (self.work / PLAN.upper()).exists()
+
     def write(self, name: str, data: bytes) -> None:
         """Writes a file below DST, whole or not at all: in the work folder first, then renamed.
 
@@ -130,6 +135,25 @@ def resolved_destination(root: Path) -> Path:
 def free_bytes(destination: Path) -> int:
     """Free space where the destination is or would be."""
     return shutil.disk_usage(_existing(resolved_destination(destination))).free
+
+
+def check_space(destination: Destination, needed_bytes: int) -> None:
+    """Refuses a destination on a disk that is too full.
+
+    Args:
+        needed_bytes: an estimate of what will be written.
+
+    Raises:
+        OutputError: less is free.
+    """
+    free = free_bytes(destination.root)
+    if needed_bytes > free:
+        raise OutputError(
+            f"what is to be written will take about {needed_bytes / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free.",
+            where=str(destination.root),
+            hint="Free some, or start all the same with --no-space-check: where the disk is full the run stops, "
+            "and the same command continues.",
+        )
 
 
 def same_device(source: Path, destination: Path) -> bool:
