@@ -16,6 +16,7 @@ import numpy as np
 from unidrive_cli.check.finding import Broken
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.dataset import Dataset, open_dataset
+from unidrive_cli.tables.layouts.base import Layout
 from unidrive_cli.tables.schema import TABLES, Row, Timestamp
 from unidrive_cli.tables.table import NOWHERE, Indices, Table
 
@@ -71,11 +72,13 @@ class Subject:
 
     Attributes:
         folder: its version folder.
+        layout: which family of datasets it is of.
         picture_size: reads a picture's header.
         jobs: files looked at together.
     """
 
     folder: Path
+    layout: Layout
     picture_size: PictureSize
     jobs: int = 1
 
@@ -91,7 +94,7 @@ class Subject:
         Raises:
             DatasetError: one of them cannot be used.
         """
-        return open_dataset(self.folder.parent, self.folder.name, unfinished=True)
+        return open_dataset(self.folder.parent, self.folder.name, layout=self.layout.name, as_found=True)
 
     @cached_property
     def shots(self) -> Shots:

@@ -13,6 +13,7 @@ from unidrive_cli.check.rules import RULES, Rule, Stage, refused_by_devkit
 from unidrive_cli.check.subject import PictureSize, Subject
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.dataset import version_folder
+from unidrive_cli.tables.layouts.known import layout_named, layout_of
 
 UNREADABLE_RULE, UNFINISHED_RULE, REFERENCES_RULE, DEVKIT_RULE = "STR-2", "STR-4", "REF-1", "DEV-1"
 KEPT_FINDINGS = 1000
@@ -66,14 +67,21 @@ class Validation:
         }
 
 
-def find_subject(root: Path, version: str | None, picture_size: PictureSize, jobs: int = 1) -> Subject:
+def find_subject(
+    root: Path, version: str | None, picture_size: PictureSize, jobs: int = 1, layout: str | None = None
+) -> Subject:
     """The dataset in a folder, not opened yet.
+
+    Args:
+        layout: name of its layout; found out where None.
 
     Raises:
         DatasetError, UsageError: as `open_dataset`, of the version folder.
     """
     try:
-        return Subject(version_folder(root, version), picture_size, jobs)
+        known = layout_named(layout) if layout else None
+        folder = version_folder(root, version, known)
+        return Subject(folder, known or layout_of(folder), picture_size, jobs)
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
 

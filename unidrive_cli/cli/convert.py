@@ -24,6 +24,7 @@ from unidrive_cli.cli.shared import (
     GROUND_HEIGHT,
     JOBS,
     JSON,
+    LAYOUT,
     MAX_SAMPLES,
     RIG_HELP,
     SCENES,
@@ -34,6 +35,7 @@ from unidrive_cli.cli.shared import (
     jobs_of,
     option,
     plural,
+    say_layout,
     warp_choices,
 )
 from unidrive_cli.convert.options import (
@@ -60,6 +62,16 @@ QUALITY = option(95, "--quality", help="JPEG quality, 1 to 100.")
 MASKS = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none.")
 VISIBILITY = option("lower", "--visibility", help="Lower a box's visibility where the virtual rig shows less of it.")
 UNSEEN_BOXES = option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows.")
+KEEP_LAYOUT = option(
+    False, "--keep-layout", help="Write the source's own layout instead of nuScenes', where that is possible (T4)."
+)
+OUTPUT_VERSION = option(
+    "",
+    "--output-version",
+    help="Version folder of the output (default: the source's; of other layouts than nuScenes' v1.0-trainval, "
+    "v1.0-mini or v1.0-test).",
+    show_default=False,
+)
 LINK = option(
     "hardlink", "--link", help="How unchanged files come into DST; links share SRC's data: treat as read-only."
 )
@@ -79,6 +91,7 @@ def convert_command(
     dst: Path = typer.Argument(..., metavar="DST", help="Where the converted dataset goes."),
     rig: str = option(..., "--rig", help=RIG_HELP),
     version: str | None = VERSION,
+    layout: str | None = LAYOUT,
     scene: list[str] = SCENES,
     split: list[str] = SPLITS,
     max_samples: int | None = MAX_SAMPLES,
@@ -94,6 +107,8 @@ def convert_command(
     visibility: VisibilityRule = VISIBILITY,
     unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
     link: Link = LINK,
+    keep_layout: bool = KEEP_LAYOUT,
+    output_version: str = OUTPUT_VERSION,
     jobs: int | None = JOBS,
     backend: Backend = option(
         "processes", "--backend", help="Processes on this machine, or a Dask cluster's workers."
@@ -135,7 +150,7 @@ def convert_command(
         src.absolute() if backend == "dask" else src,
         dst,
         rig,
-        version,
+        (version, layout),
         (depth_limit, ground_height, blend, ego_motion),
         (common_with, common_sweep),
         quality=quality,
@@ -147,6 +162,8 @@ def convert_command(
         visibility=visibility,
         unseen_boxes=unseen_boxes,
         link=link,
+        keep_layout=keep_layout,
+        output_version=output_version,
         on_error=on_error,
         verify=verify,
         kernel=kernel,
@@ -180,7 +197,7 @@ def planned(
     src: Path,
     dst: Path,
     rig: str,
-    version: str | None,
+    source: tuple[str | None, str | None],
     warp: tuple[float | None, float | None, Blend, bool],
     common_with: tuple[list[str], float | None],
     **chosen: Any,
@@ -188,6 +205,7 @@ def planned(
     """The plan of a conversion, from a command's options; what was found out about the rig goes to stderr.
 
     Args:
+        source: version and layout of SRC, as given.
         warp: depth limit, ground height, blend, ego motion, as given.
         common_with: rigs that must fill what is shown, and the sweep, as given.
         chosen: the other `Options`.
@@ -213,7 +231,9 @@ def planned(
     if sweep_m is not None and not rigs:
         raise UsageError("--common-sweep goes with --common-with, or with a fleet file that names `common`.")
     common = Common(tuple(rigs), DEFAULT_SWEEP_M if sweep_m is None else sweep_m) if rigs else None
-    dataset = open_dataset(src, version)
+    version, layout = source
+    dataset = open_dataset(src, version, layout=layout)
+    say_layout(dataset.layout, dataset.folder, layout)
     prepare_workers(options)
     plan = make_plan(dataset, fleet.virtual, options, common)
     for note in rig_notes:

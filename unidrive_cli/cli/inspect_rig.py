@@ -17,10 +17,12 @@ from unidrive_cli.cli.shared import (
     DEPTH_LIMIT,
     GROUND_HEIGHT,
     JSON,
+    LAYOUT,
     SCENES,
     VERSION,
     guarded,
     option,
+    say_layout,
     say_table,
     warp_choices,
 )
@@ -46,6 +48,7 @@ def inspect_rig_command(
     ground_height: float | None = GROUND_HEIGHT,
     common_sweep: float | None = COMMON_SWEEP,
     version: str | None = VERSION,
+    layout: str | None = LAYOUT,
     scene: list[str] = SCENES,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
@@ -56,14 +59,15 @@ def inspect_rig_command(
     Of a fleet: the virtual rig, how much of each virtual camera each car fills, and what they have in common.
     """
     from unidrive_cli.rig.inspection import inspect_rig
-    from unidrive_cli.tables.rig_of_dataset import resolve_fleet, resolve_rig
+    from unidrive_cli.tables.rig_of_dataset import dataset_meant, resolve_fleet, resolve_rig, rig_of_dataset
     from unidrive_cli.warp.common import DEFAULT_SWEEP_M, fill
     from unidrive_cli.warp.pictures import size_of_file
     from unidrive_cli.warp.remap import virtual_views
 
-    if version or scene:
-        found, notes = resolve_rig(rig, version, tuple(scene), size_of_file)
-        rigs: list[Rig] = []
+    rigs: list[Rig] = []
+    if dataset := dataset_meant(rig, version, layout):
+        say_layout(dataset.layout, dataset.folder, layout)
+        found, notes = rig_of_dataset(dataset, tuple(scene), size_of_file)
     else:
         fleet, notes = resolve_fleet(rig, size_of_file)
         found, rigs = fleet.virtual, list(fleet.sources)

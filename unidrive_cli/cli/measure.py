@@ -21,6 +21,7 @@ from unidrive_cli.cli.shared import (
     GROUND_HEIGHT,
     JOBS,
     JSON,
+    LAYOUT,
     RIG_HELP,
     SCENES,
     VERSION,
@@ -28,6 +29,7 @@ from unidrive_cli.cli.shared import (
     jobs_of,
     option,
     plural,
+    say_layout,
     say_table,
     warp_choices,
 )
@@ -60,6 +62,7 @@ def measure_command(
         None, "--source", help="The dataset that CONVERTED was made from; seams need it.", show_default=False
     ),
     version: str | None = VERSION,
+    layout: str | None = LAYOUT,
     scene: list[str] = SCENES,
     camera: list[str] = CAMERAS,
     depth_limit: float | None = DEPTH_LIMIT,
@@ -117,7 +120,10 @@ def measure_command(
         virtual_rig = fleet.virtual
         choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)
         alone = len(datasets) == 1
-        opened = [open_dataset(one, version) if alone else open_named(one, version) for one in datasets]
+        open_one = open_dataset if alone else open_named
+        opened = [open_one(one, version, layout=layout) for one in datasets]
+        for dataset in opened:
+            say_layout(dataset.layout, dataset.folder, layout)
         if truth is not None:
             with Progress("samples", sys.stderr) as progress:
                 compared = measure_rendered(

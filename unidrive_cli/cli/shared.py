@@ -19,6 +19,7 @@ from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIG
 
 if TYPE_CHECKING:
     from unidrive_cli.rig.model import Rig
+    from unidrive_cli.tables.layouts.base import Layout
 
 INTERRUPTED = 130
 
@@ -120,6 +121,12 @@ CONFIG = option(
 DEBUG = option(False, "--debug", help="Show a traceback with an error.")
 JSON = option(False, "--json", help="Print one JSON object instead of text.")
 VERSION = option(None, "--version", help="Version folder, where the dataset has several.", show_default=False)
+LAYOUT = option(
+    None,
+    "--layout",
+    help="Read the dataset as one of this layout, instead of the one found out (docs/layouts.md).",
+    show_default=False,
+)
 SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
 SPLITS = option(
     [],
@@ -167,6 +174,12 @@ def warp_choices(
         blend,
         ego_motion,
     )
+
+
+def say_layout(layout: Layout, folder: Path, forced: str | None) -> None:
+    """Says on stderr in which layout a version folder is read."""
+    how = "as told" if forced else "found out; --layout names another"
+    typer.echo(f"layout: {layout.title} ({folder}), {how}", err=True)
 
 
 def jobs_of(jobs: int | None) -> int:

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING
 import typer
 
 from unidrive_cli.cli.progress import Progress
-from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, VERSION, guarded, jobs_of, option, plural
+from unidrive_cli.cli.shared import (
+    CONFIG,
+    DEBUG,
+    JSON,
+    LAYOUT,
+    VERSION,
+    guarded,
+    jobs_of,
+    option,
+    plural,
+    say_layout,
+)
 
 if TYPE_CHECKING:
     from unidrive_cli.check.validation import Validation
@@ -32,6 +43,7 @@ def _rules(wanted: bool) -> None:
 def validate_command(
     dataset: Path = typer.Argument(..., metavar="DATASET", help="The folder that holds v1.0-*."),
     version: str | None = VERSION,
+    layout: str | None = LAYOUT,
     fix: bool = option(
         False, "--fix", help="Mend what is safe: lists, counts and ends. The old tables are kept beside (.bak)."
     ),
@@ -50,12 +62,14 @@ def validate_command(
     from unidrive_cli.warp.pictures import picture_size
 
     workers = jobs_of(jobs)
+    subject = find_subject(dataset, version, picture_size, workers, layout)
+    say_layout(subject.layout, subject.folder, layout)
     with Progress("rules", sys.stderr) as progress:
-        found = validate(find_subject(dataset, version, picture_size, workers), progress)
+        found = validate(subject, progress)
     if fix and found.fixable:
-        fixed = mend(find_subject(dataset, version, picture_size))
+        fixed = mend(find_subject(dataset, version, picture_size, layout=layout))
         with Progress("rules", sys.stderr) as progress:
-            found = validate(find_subject(dataset, version, picture_size, workers), progress)
+            found = validate(find_subject(dataset, version, picture_size, workers, layout), progress)
         found.fixed = fixed
     if as_json:
         typer.echo(json.dumps(found.document()))

@@ -7,7 +7,7 @@ import platform
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
@@ -96,7 +96,7 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         destination.write(TRAINING, training_notes(plan).encode())
         _list_failures(plan, destination, summary.failures)
         summary.verified = verify_staged(plan, destination, staged)
-        final = destination.root / plan.dataset.version
+        final = destination.root / plan.version
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
         destination.write(PROVENANCE, _provenance(plan, summary))
@@ -156,14 +156,18 @@ def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[st
             continue
         source = plan.dataset.extra_tables[name]
         left = len(source.rows or []) - len(kept)
+        named = [source.filename(row) for row in kept]
+        moved = [{"filename": plan.names[name]} if name and plan.names[name] != name else {} for name in named]
+        if left or any(moved):
+            rows = ({**row, **change} for row, change in zip(kept, moved, strict=True))
+            write_rows(folder / source.path.name, (json.dumps(row).encode() for row in rows))
+        else:
+            shutil.copyfile(source.path, folder / source.path.name)
         if left:
-            write_rows(folder / source.path.name, (json.dumps(row).encode() for row in kept))
             notes.append(
                 f"{source.path.name}: {left} rows belong to pictures or samples that are gone, and left with them."
             )
-        else:
-            shutil.copyfile(source.path, folder / source.path.name)
-        files.extend(filename for row in kept if (filename := source.filename(row)))
+        files.extend(filter(None, named))
     return files
 
 
@@ -191,9 +195,10 @@ def _carry_files(
     maps = {row.filename for row in plan.dataset.map.rows}
     pictures = {name for unit in plan.units for name in unit.pictures}
     for filename in carried_files(plan.dataset, tables.kept_sample_data, extra_files):
-        if filename in pictures:
+        target = plan.names[filename]
+        if target in pictures:
             continue  # an extra table names a picture in whose place a virtual one is
-        if carry(plan.dataset, filename, destination, plan.options.link):
+        if carry(plan.dataset, filename, destination, target, plan.options.link):
             carried += 1
         elif filename not in maps:
             missing += 1
@@ -207,8 +212,11 @@ def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> Non
     """nuscenes-devkit refuses a dataset whose map picture is missing: an empty one takes its place."""
     for row in plan.dataset.map.rows:
         if row.filename and not (plan.dataset.root / row.filename).exists():
-            destination.write(row.filename, encode_mask(np.zeros((10, 10), dtype=np.uint8)))
-            notes.append(f"The map picture {row.filename} is missing in the source; an empty one was written.")
+            is_picture = PurePosixPath(row.filename).suffix.lower() in (".png", ".jpg", ".jpeg")
+            empty = encode_mask(np.zeros((10, 10), dtype=np.uint8)) if is_picture else b"\n"
+            destination.write(row.filename, empty)
+            what = "map picture" if is_picture else "map"
+            notes.append(f"The {what} {row.filename} is missing in the source; an empty one was written.")
 
 
 def _camera_masks(plan: Plan, destination: Destination) -> None:

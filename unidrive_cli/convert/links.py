@@ -50,7 +50,10 @@ def carried_files(dataset: Dataset, kept: Bool, extra_files: Iterable[str]) -> I
     """
     for row in dataset.sample_data.rows_at(np.flatnonzero(kept)):
         yield row.filename
+    for _, filename in dataset.layout.further_files(dataset.sample_data, np.flatnonzero(kept)):
+        yield filename
     yield from extra_files
+    yield from (name for name in dataset.layout.top_files if (dataset.root / name).is_file())
     named = {row.filename for row in dataset.map.rows if row.filename}
     for folder in CARRIED_FOLDERS:
         for path, _, files in os.walk(dataset.root / folder, onerror=_raise):
@@ -78,16 +81,16 @@ def check_names_apart(dataset: Dataset, destination: Destination) -> None:
             )
 
 
-def carry(dataset: Dataset, filename: str, destination: Destination, how: Link) -> bool:
+def carry(dataset: Dataset, filename: str, destination: Destination, target_name: str, how: Link) -> bool:
     """Brings one file of the source into the destination; False where the source does not have it.
 
-    The name was checked when the conversion was planned.
+    The names were checked when the conversion was planned.
 
     Raises:
         DatasetError: the file cannot be read.
         OutputError: it cannot be written.
     """
-    source, target = dataset.root / filename, destination.root / filename
+    source, target = dataset.root / filename, destination.root / target_name
     try:
         if not source.is_file():
             return False

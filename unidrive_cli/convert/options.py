@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from unidrive_cli.errors import UsageError
+from unidrive_cli.tables.destination import RESERVED
 from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
 
 Masks = Literal["frame", "camera", "none"]
@@ -15,6 +17,11 @@ VisibilityRule = Literal["lower", "keep"]
 UnseenBoxes = Literal["keep", "drop"]
 OnError = Literal["stop", "skip"]
 Backend = Literal["processes", "dask"]
+_TAKEN = (*RESERVED, "samples", "sweeps", "data", "maps", "map", "can_bus", "lidarseg", "panoptic")
+
+
+def _is_folder_name(name: str) -> bool:
+    return re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name) is not None and name not in _TAKEN
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,8 @@ class Options(WarpChoices):
         kernel, codec: what warps, and what decodes and encodes; what they come to belongs to the plan.
         backend: `processes` on this machine, or `dask`, the workers of a cluster.
         scheduler: address of the Dask scheduler; empty without `dask`.
+        keep_layout: write the source's own layout, where that is possible, instead of nuScenes'.
+        output_version: the version folder of the output; what the source's layout makes of its own where empty.
         space_check: refuse to start where the estimate exceeds the free space.
     """
 
@@ -55,6 +64,8 @@ class Options(WarpChoices):
     codec: Codec = "auto"
     backend: Backend = "processes"
     scheduler: str = ""
+    keep_layout: bool = False
+    output_version: str = ""
     space_check: bool = True
 
     def __post_init__(self) -> None:
@@ -63,6 +74,13 @@ class Options(WarpChoices):
         super().__post_init__()
         if self.max_samples is not None and self.max_samples < 1:
             raise UsageError(f"--max-samples must be 1 or more, got {self.max_samples}.")
+        if self.output_version and not _is_folder_name(self.output_version):
+            raise UsageError(
+                f"--output-version {self.output_version}: that cannot be a version folder.",
+                hint="v1.0-trainval can.",
+            )
+        if self.output_version and self.keep_layout:
+            raise UsageError("--output-version and --keep-layout exclude each other.")
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
         if self.backend == "dask" and not self.scheduler:

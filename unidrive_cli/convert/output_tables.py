@@ -21,7 +21,18 @@ from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
 from unidrive_cli.tables.schema import Quaternion, Row, SampleAnnotation, Timestamp, Vector3
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
-from unidrive_cli.tables.table import EMPTY, Indices, ListedTable, RawRow, RawRows, Run, Table, are_kept, run_of
+from unidrive_cli.tables.table import (
+    EMPTY,
+    Indices,
+    ListedTable,
+    RawRow,
+    RawRows,
+    Run,
+    Table,
+    are_kept,
+    changed,
+    run_of,
+)
 from unidrive_cli.tables.tokens import derived_token
 
 _NUMBERS = operator.attrgetter("camera", "annotation", "left", "top", "right", "bottom")
@@ -187,8 +198,9 @@ class OutputTables:
             "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
-        for name in ("category", "attribute", "log", "map"):
+        for name in ("category", "attribute", "map"):
             rows[name] = getattr(self._dataset, name).raw
+        rows["log"] = self._logs()
         names = sorted(rows)
         with ThreadPoolExecutor(2) as threads:
             counts = threads.map(write_table, names, [rows[name] for name in names])
@@ -239,7 +251,15 @@ class OutputTables:
                 translation=camera.centre_ego.tolist(),
                 rotation=quaternion_from_rotation(camera.ego_from_cam[:3, :3]).tolist(),
                 camera_intrinsic=camera.lens.matrix.tolist(),
+                **(self._dataset.layout.calibration_fields() if self._plan.options.keep_layout else {}),
             )
+
+    def _logs(self) -> Iterator[RawRow]:
+        for raw in self._dataset.log.raw:
+            fields = (
+                {} if self._plan.options.keep_layout else self._dataset.layout.log_fields(msgspec.json.decode(raw))
+            )
+            yield changed(raw, fields) if fields else raw
 
     def _ego_poses(self) -> RawRows:
         """Poses that a row which stays uses, or that none ever used; then one per virtual picture."""
@@ -256,7 +276,10 @@ class OutputTables:
             )
 
     def _sample_data(self) -> RawRows:
-        yield from self._linked_rows(self._dataset.sample_data, self.kept_sample_data)
+        table, changes = self._dataset.sample_data, mended_links(self._dataset.sample_data, self.kept_sample_data)
+        for index, name in self._plan.names.moved(self.kept_sample_data).items():
+            changes.setdefault(index, {})["filename"] = name
+        yield from table.runs(np.flatnonzero(self.kept_sample_data), changes)
         by_scene: dict[str, list[tuple[Unit, list[str]]]] = {}
         for unit, pictures in zip(self._units, self._pictures, strict=True):
             by_scene.setdefault(unit.scene.token, []).append((unit, pictures))

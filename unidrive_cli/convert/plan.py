@@ -21,14 +21,16 @@ from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.common import Common, with_own_rig
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
+from unidrive_cli.convert.output_names import OutputNames
 from unidrive_cli.convert.units import SKIP_HINT, Frame
-from unidrive_cli.errors import DatasetError, PictureError, RigError
+from unidrive_cli.errors import DatasetError, PictureError, RigError, UsageError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.poses import relative
 from unidrive_cli.geometry.scene import HalfBall
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
 from unidrive_cli.tables.destination import RESERVED, digest_of
+from unidrive_cli.tables.layouts.known import LAYOUTS
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData, Scene
@@ -83,6 +85,7 @@ class Plan:
         dataset, rig, options: what it was made from.
         toolchain: kernel and codec.
         units: one per sample, by scene and time.
+        names: what files that go along are called in the output.
         common: the rigs that must fill what is shown; None where none are named.
         notes: what a user should know, one sentence each.
     """
@@ -93,6 +96,7 @@ class Plan:
     toolchain: Toolchain
     units: list[Unit]
     notes: list[str]
+    names: OutputNames
     common: Common | None = None
 
     @cached_property
@@ -113,11 +117,20 @@ class Plan:
         return {
             "method": METHOD,
             "version": __version__,
-            "source": {"version": self.dataset.version, "digest": self.dataset.digest},
+            "source": {
+                "version": self.dataset.version,
+                "digest": self.dataset.digest,
+                "layout": self.dataset.layout.name,
+            },
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity() | (self.common.identity() if self.common else {}),
             **self.toolchain.identity,
         }
+
+    @property
+    def version(self) -> str:
+        """The version folder of the output."""
+        return output_version(self.dataset, self.options)
 
     @property
     def digest(self) -> str:
@@ -181,6 +194,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         DatasetError: dangling tokens, broken poses or calibrations, missing pictures, no samples.
         RigError, UsageError: a rig or an option that does not fit the dataset.
     """
+    _check_layout(dataset, options)
     _check_channels(dataset, rig)
     toolchain = choose_toolchain(options.kernel, options.codec)
     surfaces = [view.half_ball for view in virtual_views(rig, options.depth_limit_m, options.ground_height_m)]
@@ -189,7 +203,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         decoding = threads.submit(lambda: dataset.keyframes)
         notes.extend(_mended_links(dataset))
         check_poses(dataset)
-        _check_filenames(dataset)
+        _check_filenames(dataset, output_version(dataset, options))
         decoding.result()
     channels = set(dataset.camera_channels(options.cameras))
     units = list(itertools.islice(_units(dataset, rig, options, channels), options.max_samples))
@@ -202,7 +216,8 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
     if common:
         common, more = with_own_rig(common, dataset, options, scene_names(units))
         notes.extend(more)
-    plan = Plan(dataset, rig, options, toolchain, units, notes, common)
+    names = OutputNames(dataset, output_version(dataset, options), keep_layout=options.keep_layout)
+    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common)
     _check_cameras(plan)
     if plan.common_masks:
         shares = zip(rig.channels, plan.common_masks.shares, strict=True)
@@ -210,6 +225,22 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
             f"Nothing of {channel} is common: its pictures are black." for channel, share in shares if not share
         )
     return plan
+
+
+def output_version(dataset: Dataset, options: Options) -> str:
+    """The version folder of the output: the one that was asked for, or what the source's layout makes of its own."""
+    if options.keep_layout:
+        return dataset.version
+    return options.output_version or dataset.layout.output_version(dataset.version)
+
+
+def _check_layout(dataset: Dataset, options: Options) -> None:
+    if options.keep_layout and not dataset.layout.can_be_kept:
+        able = ", ".join(layout.title for layout in LAYOUTS if layout.can_be_kept)
+        raise UsageError(
+            f"--keep-layout: {dataset.folder} is in the layout of {dataset.layout.title}; {able} alone can be kept.",
+            hint="--output-version chooses the version folder of the output.",
+        )
 
 
 def scene_names(units: Iterable[Unit]) -> tuple[str, ...]:
@@ -269,12 +300,12 @@ def _check_channels(dataset: Dataset, rig: Rig) -> None:
     rig.check_folders(others)
 
 
-def _check_filenames(dataset: Dataset) -> None:
+def _check_filenames(dataset: Dataset, version: str) -> None:
     """Every file that goes along: inside the dataset, and under no name that the output needs for itself.
 
     The pictures that are rendered are checked with their units.
     """
-    reserved = {*RESERVED, dataset.version}
+    reserved = {*RESERVED, version}
 
     def check(filename: str, where: Callable[[], str]) -> None:
         try:
@@ -287,12 +318,15 @@ def _check_filenames(dataset: Dataset) -> None:
     rows = dataset.sample_data.names_to_check(np.flatnonzero(~dataset.of_cameras), dataset.files.has_links)
     for filename, where in named_files(dataset, rows):
         check(filename, where)
+    for place, filename in dataset.layout.further_files(dataset.sample_data, np.flatnonzero(~dataset.of_cameras)):
+        check(filename, place.strip)
     check_carried_folders(dataset)
 
 
 def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:
     logfiles = {row.token: row.logfile for row in dataset.log.rows}
     names: Counter[str] = Counter()
+    number = 0
     for scene in scenes_of(dataset, options.scenes, options.splits):
         stem = _file_stem(logfiles.get(scene.log_token, "") or scene.name)
         for sample in dataset.samples_of_scene[scene.token]:
@@ -312,8 +346,14 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
                 reference,
                 tuple(cameras.values()),
                 tuple(row for channel, row in cameras.items() if channel in channels),
-                tuple(f"samples/{channel}/{stem}__{channel}__{timestamp}.jpg" for channel in rig.channels),
+                tuple(
+                    dataset.layout.picture_name(channel, number)
+                    if options.keep_layout
+                    else f"samples/{channel}/{stem}__{channel}__{timestamp}.jpg"
+                    for channel in rig.channels
+                ),
             )
+            number += 1
 
 
 def _check_cameras(plan: Plan) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import STANDARD_SIZE_PX, Plan, has_standard_channels, lidar_notes
-
-OFFICIAL_VERSIONS = ("v1.0-mini", "v1.0-trainval", "v1.0-test")
+from unidrive_cli.tables.layouts.base import OFFICIAL_VERSIONS
 
 
 def training_notes(plan: Plan) -> str:
@@ -42,12 +41,13 @@ def training_notes(plan: Plan) -> str:
         *_common(plan),
         f"- Boxes that the virtual rig does not show are {_unseen_boxes(plan.options)}.",
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
-        f"- Open with nuscenes-devkit: `NuScenes(version='{plan.dataset.version}', dataroot=...)`.",
+        f"- Open with nuscenes-devkit: `NuScenes(version='{plan.version}', dataroot=...)`.",
     ]
-    if plan.dataset.version not in OFFICIAL_VERSIONS:
+    if plan.version not in OFFICIAL_VERSIONS:
         lines.append(
-            f"- The version folder `{plan.dataset.version}` is none of {', '.join(OFFICIAL_VERSIONS)}: the devkit's "
-            "splits and most converters accept only those, with nuScenes' own scene names; give them your own split."
+            f"- The version folder `{plan.version}` is none of {', '.join(OFFICIAL_VERSIONS)}: the devkit's "
+            "splits and most converters accept only those, with nuScenes' own scene names; give them your own split "
+            "(`--output-version v1.0-trainval` names the folder so)."
         )
     lines += [f"- {note}" for note in lidar_notes(plan.dataset)]
     return "\n".join(lines) + "\n"

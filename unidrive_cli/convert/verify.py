@@ -39,7 +39,7 @@ def verify_staged(plan: Plan, destination: Destination, staged_tables: Path) -> 
     Raises:
         CheckError: something is wrong; the sentence says what.
     """
-    with as_finished(destination, staged_tables, plan.dataset.version) as root:
+    with as_finished(destination, staged_tables, plan.version) as root:
         return verify(plan, root)
 
 
@@ -53,7 +53,7 @@ def verify(plan: Plan, root: Path) -> Verified:
         CheckError: something is wrong; the sentence says what.
     """
     try:
-        dataset = open_dataset(root, plan.dataset.version)
+        dataset = open_dataset(root, plan.version)
         findings = list(check_references(dataset))
     except UnidriveError as error:
         raise CheckError(
@@ -63,7 +63,7 @@ def verify(plan: Plan, root: Path) -> Verified:
         raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
     present, decoded = _check_pictures(plan, dataset, root)
     boxes = open_with_devkit(dataset, whole=plan.options.verify == "full")
-    return Verified(len(list((root / plan.dataset.version).glob("*.json"))), present, decoded, boxes)
+    return Verified(len(list((root / plan.version).glob("*.json"))), present, decoded, boxes)
 
 
 def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import os
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -19,6 +21,8 @@ from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
 from unidrive_cli.tables.converted import refuse_unfinished
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
+from unidrive_cli.tables.layouts.base import Layout
+from unidrive_cli.tables.layouts.known import layout_named, layout_of
 from unidrive_cli.tables.paths import Inside
 from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.schema import (
@@ -56,6 +60,7 @@ class Dataset:
     Attributes:
         root: the folder that holds the version folder, `samples` and `sweeps`.
         version: name of the version folder.
+        layout: which family of datasets it is of.
         extra_tables: further `*.json` files of the version folder, by name without suffix.
         notes: what was assumed or repaired, one sentence each.
     """
@@ -76,6 +81,7 @@ class Dataset:
     log: ListedTable[Log]
     map: ListedTable[Map]
     extra_tables: dict[str, ExtraTable]
+    layout: Layout
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -247,39 +253,48 @@ class Dataset:
         return [channel for channel in known if not wanted or channel in wanted]
 
 
-def open_dataset(root: Path, version: str | None = None, *, unfinished: bool = False) -> Dataset:
+def open_dataset(
+    root: Path, version: str | None = None, *, layout: str | None = None, as_found: bool = False
+) -> Dataset:
     """Opens the dataset in a folder.
 
     Args:
-        root: folder that holds the version folder.
+        root: folder that holds the version folder, or a folder that alone holds such a one.
         version: its name; needed where there are several.
-        unfinished: whether one that a command of ours has not finished is opened too.
+        layout: name of its layout; found out where None.
+        as_found: as it lies there: a layout's tables are not brought to nuScenes' meaning, and one that a
+            command of ours has not finished is opened too.
 
     Raises:
         DatasetError: no such folder, no version folder, or a table that cannot be used.
-        UsageError: several version folders and no `version`, or a `version` that is not there.
+        UsageError: several version folders and no `version`, a `version` that is not there, an unknown layout.
     """
+    known = layout_named(layout) if layout else None
     try:
-        if not unfinished:
+        if not as_found:
             refuse_unfinished(root)
-        return _open(version_folder(root, version))
+        folder = version_folder(root, version, known)
+        if not as_found:
+            refuse_unfinished(folder.parent)
+        return _open(folder, known or layout_of(folder), as_found=as_found)
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
 
 
-def _open(folder: Path) -> Dataset:
-    notes: list[str] = []
+def _open(folder: Path, layout: Layout, *, as_found: bool) -> Dataset:
     paths = {name: folder / f"{name}.json" for name in TABLES}
     growing = [name for name in SCANNED if paths[name].is_file()]
     tables: dict[str, Any] = {}
     if sum(paths[name].stat().st_size for name in growing) > LARGE_BYTES:
         tables.update(scan_tables(folder, growing))
-    for name in NEEDED:
-        tables[name] = tables.get(name) or read_table(paths[name], name)
-    for name in OPTIONAL:
+    for name in (*NEEDED, *OPTIONAL):
+        if name in NEEDED and not paths[name].exists():
+            raise _incomplete(folder, name)
         if paths[name].exists():
             tables[name] = tables.get(name) or read_table(paths[name], name)
-        else:
+    notes = [] if as_found else list(layout.mend(tables))
+    for name in OPTIONAL:
+        if name not in tables:
             records = _minimal_records(name, tables)
             tables[name] = table_of(name, records)
             notes.append(f"{name}.json is missing; {len(records)} rows are assumed.")
@@ -297,6 +312,7 @@ def _open(folder: Path) -> Dataset:
         folder.name,
         **tables,
         extra_tables={path.stem: read_extra_table(path) for path in extra_paths},
+        layout=layout,
         notes=notes,
     )
 
@@ -306,8 +322,11 @@ def is_version_folder(folder: Path) -> bool:
     return (folder / "sensor.json").exists() and (folder / "sample_data.json").exists()
 
 
-def version_folder(root: Path, version: str | None) -> Path:
+def version_folder(root: Path, version: str | None, layout: Layout | None = None) -> Path:
     """The version folder that `open_dataset` reads.
+
+    Args:
+        layout: of several version folders those of this layout count, where there are any.
 
     Raises:
         DatasetError, UsageError: as `open_dataset`.
@@ -317,9 +336,13 @@ def version_folder(root: Path, version: str | None) -> Path:
         raise DatasetError("there is no such folder.", where=str(root))
     if not root.is_dir():
         raise DatasetError("is a file; the folder that holds v1.0-* was expected.", where=str(root))
-    folders = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+    folders = _folders(root)
     found = [folder for folder in folders if (folder / "sensor.json").exists()]
     found = [folder for folder in found if (folder / "sample_data.json").exists()] or found
+    if not found and not (root / "sensor.json").exists():
+        found = [below for folder in folders for below in _folders(folder) if is_version_folder(below)]
+    if layout and len(found) > 1:
+        found = [folder for folder in found if layout.is_at(folder)] or found
     if version is not None:
         match = next((folder for folder in found if folder.name == version), None)
         if match is None:
@@ -327,13 +350,13 @@ def version_folder(root: Path, version: str | None) -> Path:
             raise UsageError(f"--version {version}: {root} has no such version folder.", hint=f"It holds: {names}.")
         return match
     if len(found) > 1:
-        names = ", ".join(folder.name for folder in found)
+        names = ", ".join(folder.relative_to(root).as_posix() for folder in found)
         raise UsageError(f"{root} holds {len(found)} version folders: {names}.", hint="Choose one with --version.")
     if found:
         return found[0]
     if (root / "sensor.json").exists():
         if not (root / "sample_data.json").exists():
-            read_table(root / "sample_data.json", "sample_data")
+            raise _incomplete(root, "sample_data")
         raise DatasetError(
             "is a version folder itself.",
             where=str(root),
@@ -345,6 +368,27 @@ def version_folder(root: Path, version: str | None) -> Path:
         where=str(root),
         hint="Give the folder that holds v1.0-trainval, v1.0-mini or the like.",
     )
+
+
+def _incomplete(folder: Path, name: str) -> DatasetError:
+    """The error for a needed table that is missing; where the calibrations dangle too, it says so."""
+    more = ""
+    with contextlib.suppress(DatasetError):
+        sensors, calibrations = (read_table(folder / f"{one}.json", one) for one in ("sensor", "calibrated_sensor"))
+        for row in calibrations.rows_at(calibrations.unlinked("sensor_token", sensors, empty=True)[:1]):
+            place = calibrations.place(row, "sensor_token")
+            more = f" Besides, {place} points to {row.sensor_token!r}, which is not in sensor.json."
+    return DatasetError(
+        f"this table is needed and missing.{more}",
+        where=str(folder / f"{name}.json"),
+        hint="Unpack the dataset's metadata archive completely.",
+    )
+
+
+def _folders(place: Path) -> list[Path]:
+    """The folders in one, except hidden ones."""
+    with os.scandir(place) as entries:
+        return sorted(Path(entry.path) for entry in entries if entry.is_dir() and not entry.name.startswith("."))
 
 
 def _minimal_records(name: str, tables: dict[str, Any]) -> list[dict[str, Any]]:

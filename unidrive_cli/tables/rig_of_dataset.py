@@ -118,7 +118,7 @@ def _content(row: CalibratedSensor) -> str:
     return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
 
 
-def open_named(folder: Path, version: str | None = None) -> Dataset:
+def open_named(folder: Path, version: str | None = None, *, layout: str | None = None) -> Dataset:
     """Opens the dataset that an argument without a `--version` of its own means: a folder, or its version folder.
 
     Raises:
@@ -129,7 +129,7 @@ def open_named(folder: Path, version: str | None = None) -> Dataset:
         folder = folder.resolve()
         folder, version = folder.parent, folder.name
     try:
-        return open_dataset(folder, version)
+        return open_dataset(folder, version, layout=layout)
     except UsageError as error:
         if version is not None:
             raise
@@ -186,17 +186,37 @@ def resolve_rig(
         RigError: neither of the three, or a rig file with a mistake.
         DatasetError, UsageError: a dataset folder that cannot be read.
     """
-    path = Path(text)
-    looks_like_path = "/" in text or path.suffix in (".yaml", ".yml")
-    if not looks_like_path and text in gallery_names():
-        return load_gallery_rig(text), []
     try:
-        if path.is_dir():
-            return rig_of_dataset(open_named(path, version), scenes, size_of_file)
-        if looks_like_path or path.is_file():
+        if dataset := dataset_meant(text, version):
+            rig, notes = rig_of_dataset(dataset, scenes, size_of_file)
+            if dataset.layout.name != "nuscenes":
+                notes.insert(0, f"{dataset.folder} is in the layout of {dataset.layout.title}.")
+            return rig, notes
+        path = Path(text)
+        if _looks_like_path(text) or (text not in gallery_names() and path.is_file()):
             return load_rig(path), []
     except (OSError, ValueError) as error:
         if isinstance(error, UnidriveError):
             raise
         raise RigError(f"cannot be read: {error}.", where=text[:200]) from error
     return load_gallery_rig(text), []
+
+
+def dataset_meant(text: str, version: str | None = None, layout: str | None = None) -> Dataset | None:
+    """The dataset that a RIG argument means, opened; None where it means a rig file or a shipped rig.
+
+    Args:
+        text: the argument.
+        version, layout: of the dataset; the layout is found out where None.
+
+    Raises:
+        DatasetError, UsageError: it cannot be read.
+        OSError, ValueError: no path can be called that.
+    """
+    if (not _looks_like_path(text) and text in gallery_names()) or not Path(text).is_dir():
+        return None
+    return open_named(Path(text), version, layout=layout)
+
+
+def _looks_like_path(text: str) -> bool:
+    return "/" in text or Path(text).suffix in (".yaml", ".yml")

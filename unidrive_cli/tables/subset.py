@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from unidrive_cli.geometry.arrays import Bool
-from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.table import EMPTY, Indices, Table
+
+if TYPE_CHECKING:
+    from unidrive_cli.tables.dataset import Dataset  # which imports the layouts, and these use what is here
 
 
 def mended_links(table: Table[Any], kept: Bool) -> dict[int, dict[str, Any]]:

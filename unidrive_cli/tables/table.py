@@ -223,6 +223,21 @@ class ListedTable(Table[R]):
             fields = changes.get(index)
             yield changed(self.raw[index], fields) if fields else self.raw[index]
 
+    def mended(self, changes: Mapping[int, Mapping[str, Any]]) -> ListedTable[R]:
+        """The table with changed fields, by index, put in; the digest stays that of the file."""
+        rows: list[Any] = list(self.rows)
+        raw = list(self.raw)
+        decode = msgspec.json.Decoder(TABLES[self.name]).decode
+        for index, fields in changes.items():
+            raw[index] = changed(raw[index], fields)
+            rows[index] = decode(raw[index])
+        return replace(self, rows=rows, raw=raw)
+
+    def only(self, kept: Bool) -> ListedTable[R]:
+        """The table with some of its rows; the digest stays that of the file."""
+        stays = np.flatnonzero(kept).tolist()
+        return replace(self, rows=[self.rows[index] for index in stays], raw=[self.raw[index] for index in stays])
+
     def extended(self, records: Iterable[dict[str, Any]]) -> ListedTable[R]:
         """The table with further full records at its end; the digest stays that of the file."""
         added: ListedTable[R] = table_of(self.name, records)
