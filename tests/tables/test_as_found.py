@@ -20,6 +20,7 @@ def test_lyft_opens(shared_data: Path) -> None:
     root = shared_data / "tables-as-found" / "lyft-v1.01-train-tables"
     dataset = open_dataset(root)
     assert dataset.version == "v1.01-train"
+    assert dataset.layout.title == "Lyft Level 5"
     assert len(dataset.camera_channels()) == 7
     assert "CAM_FRONT_ZOOMED" in dataset.camera_channels()
     (sample,) = dataset.sample.rows
@@ -66,9 +67,32 @@ def test_bredton_with_quaternions_is_refused_for_its_missing_poses(shared_data: 
         assert word in sentence
 
 
-def test_simone_is_refused_for_its_missing_table(shared_data: Path) -> None:
-    with pytest.raises(DatasetError, match=r"simone-tables/sample_data\.json: this table is needed and missing"):
-        open_dataset(shared_data / "tables-as-found" / "simone-tables")
+def test_simone_is_refused_for_its_missing_table_and_its_dangling_sensors(shared_data: Path) -> None:
+    root = shared_data / "tables-as-found" / "simone-tables"
+    with pytest.raises(DatasetError) as caught:
+        open_dataset(root)
+    first = json.loads((root / "calibrated_sensor.json").read_bytes())[0]
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{root}/sample_data.json: this table is needed and missing. Besides, ")
+    assert f"calibrated_sensor.json, token {first['token']}, field sensor_token" in sentence
+    assert f"points to {first['sensor_token']!r}, which is not in sensor.json." in sentence
+
+
+def test_the_partial_test_split_is_refused_for_its_missing_lists(shared_data: Path) -> None:
+    with pytest.raises(DatasetError) as caught:
+        open_dataset(shared_data / "tables-as-found" / "partial-v1.0-test")
+    sentence = str(caught.value)
+    for word in ("v1.0-test/sample.json", "token ca9a282c9e77460f8360f564131a8af5", "field prev", "missing"):
+        assert word in sentence
+
+
+def test_t4_opens(shared_data: Path) -> None:
+    dataset = open_dataset(shared_data / "tables-as-found" / "t4dataset-minimal")
+    assert dataset.version == "annotation"
+    assert dataset.layout.title == "T4"
+    assert dataset.notes == []
+    assert not list(check_references(dataset))
+    assert set(dataset.extra_tables) == {"object_ann", "surface_ann", "vehicle_state"}
 
 
 def test_simone_with_its_tables_completed_is_refused_for_its_dangling_sensors(

@@ -15,6 +15,7 @@ from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
 from unidrive_cli.tables.dataset import Dataset, is_version_folder, open_dataset
+from unidrive_cli.tables.layouts.known import layout_named
 from unidrive_cli.tables.schema import CalibratedSensor, SampleData
 
 
@@ -125,6 +126,8 @@ def open_named(folder: Path, version: str | None = None, *, layout: str | None =
         DatasetError: it cannot be read.
         UsageError: several version folders; the hint says how to name one.
     """
+    if layout is not None:
+        layout_named(layout)  # an unknown one is no matter of version folders
     if version is None and folder.is_dir() and is_version_folder(folder):
         folder = folder.resolve()
         folder, version = folder.parent, folder.name
