@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from tests.datasets import VERSION, paint, rows
 from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.cli.main import app
 from unidrive_cli.optimize.objective import Penalties
@@ -19,6 +21,8 @@ from unidrive_cli.optimize.search_file import load_search
 from unidrive_cli.rig.fleet import load_fleet
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.yaml_file import parse_rig
+from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.tables.layouts import known
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -100,6 +104,29 @@ def test_the_search_file_of_the_docs_is_valid(tmp_path: Path) -> None:
     found = load_search(tmp_path / "search.yaml", load_gallery_rig)
     assert found.penalties == Penalties()
     assert len(found.space.parameters) == 4 + 1 + 1 + 1
+
+
+def test_the_layout_of_the_docs_is_a_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its line it finds its datasets out and mends them, and leaves all others to the rest."""
+    (code,) = code_blocks(ROOT / "docs" / "adding.md", "python")
+    (tmp_path / "harbour.py").write_text(code)
+    layout = runpy.run_path(str(tmp_path / "harbour.py"))["HarbourLayout"]()
+    monkeypatch.setattr(known, "LAYOUTS", (layout, *known.LAYOUTS))
+    root = paint(tmp_path / "drive", scenes=2, samples=1)
+    assert open_dataset(root).layout.title == "nuScenes"
+    (root / VERSION / "recorder.json").write_text("[]")
+    scenes = rows(root, "scene")
+    scenes[1]["name"] = ""
+    (root / VERSION / "scene.json").write_text(json.dumps(scenes))
+    dataset = open_dataset(root)
+    assert dataset.layout is layout
+    assert [row.name for row in dataset.scene.rows] == [scenes[0]["name"], "harbour-0002"]
+    assert dataset.notes == ["1 scenes have no name; they get numbers."]
+
+
+def test_the_docs_name_every_layout() -> None:
+    text = (ROOT / "docs" / "layouts.md").read_text()
+    assert [layout.name for layout in known.LAYOUTS if f"| `{layout.name}` |" not in text] == []
 
 
 def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
