@@ -78,6 +78,8 @@ RULES = (
     Rule("STR-3", "error", structure.missing_tables, needs=Stage.FOLDER, devkit=True),
     Rule("STR-4", "error", structure.unfinished_conversions, needs=Stage.FOLDER),
     Rule("STR-5", "error", structure.repeated_tokens, needs=Stage.TABLES, first=True),
+    Rule("STR-6", "error", structure.maps_lacking_fields, devkit=True),
+    Rule("STR-7", "warning", structure.rows_lacking_fields),
     Rule("REF-1", "error", references.dangling_tokens, devkit=True),
     Rule("REF-2", "warning", references.open_links, fixable=True),
     Rule("REF-3", "error", structure.logs_without_map, devkit=True),

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
+
 from unidrive_cli.check.finding import Broken
 from unidrive_cli.check.subject import Subject
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.converted import MARKER, WORK
 from unidrive_cli.tables.dataset import OPTIONAL
 from unidrive_cli.tables.extra import extra_table_paths, read_extra_table
+from unidrive_cli.tables.lacking import ASKED_FOR, lacking
 from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.schema import NEEDED, TABLES
 from unidrive_cli.tables.table import ListedTable, read_table
@@ -92,6 +95,34 @@ def repeated_tokens(subject: Subject) -> Iterator[Broken]:
             for token, count in counts.items():
                 if count > 1:
                     yield f"{table.file}, token {token}", f"{count} rows have this token; tokens must be unique."
+
+
+def maps_lacking_fields(subject: Subject) -> Iterator[Broken]:
+    """Every row of map.json has filename and log_tokens.
+
+    nuscenes-devkit does not open the dataset (nuScenes' teaser sets have no log_tokens); a conversion puts them in.
+    """
+    yield from _lacking_fields(subject, "map")
+
+
+def rows_lacking_fields(subject: Subject) -> Iterator[Broken]:
+    """Rows of log, scene, instance and sample_annotation have the fields that readers ask for.
+
+    nuscenes-devkit's lists and evaluation, and most trainers, stop with a KeyError; a conversion puts them in.
+    """
+    for name in ASKED_FOR:
+        if name != "map":
+            yield from _lacking_fields(subject, name)
+
+
+def _lacking_fields(subject: Subject, name: str) -> Iterator[Broken]:
+    if name in subject.missing:
+        return
+    table = getattr(subject.dataset, name)
+    found = lacking(table)
+    for row, fields in zip(table.rows_at(np.array(list(found), dtype=np.int64)), found.values(), strict=True):
+        for field in fields:
+            yield table.place(row, field), "is missing."
 
 
 def logs_without_map(subject: Subject) -> Iterator[Broken]:

@@ -21,6 +21,7 @@ from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
 from unidrive_cli.tables.converted import refuse_unfinished
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
+from unidrive_cli.tables.lacking import completed
 from unidrive_cli.tables.layouts.base import Layout
 from unidrive_cli.tables.layouts.known import layout_named, layout_of
 from unidrive_cli.tables.paths import Inside
@@ -262,8 +263,8 @@ def open_dataset(
         root: folder that holds the version folder, or a folder that alone holds such a one.
         version: its name; needed where there are several.
         layout: name of its layout; found out where None.
-        as_found: as it lies there: a layout's tables are not brought to nuScenes' meaning, and one that a
-            command of ours has not finished is opened too.
+        as_found: as it lies there: a layout's tables are not brought to nuScenes' meaning, fields that rows lack
+            are not put in, and one that a command of ours has not finished is opened too.
 
     Raises:
         DatasetError: no such folder, no version folder, or a table that cannot be used.
@@ -292,7 +293,7 @@ def _open(folder: Path, layout: Layout, *, as_found: bool) -> Dataset:
             raise _incomplete(folder, name)
         if paths[name].exists():
             tables[name] = tables.get(name) or read_table(paths[name], name)
-    notes = [] if as_found else list(layout.mend(tables))
+    notes = [] if as_found else [*layout.mend(tables), *completed(tables)]
     for name in OPTIONAL:
         if name not in tables:
             records = _minimal_records(name, tables)

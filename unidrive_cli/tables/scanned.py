@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool, Float
+from unidrive_cli.tables.lacking import ASKED_FOR
 from unidrive_cli.tables.schema import TABLES, Row
 from unidrive_cli.tables.table import (
     EMPTY,
@@ -93,7 +94,7 @@ class ScannedTable(Table[R]):
     """A table of which DuckDB holds the columns, with tokens as 64-bit hashes that are unique in it.
 
     A row is decoded, and checked field by field, when it is asked for; of the others it is known that they are
-    JSON objects with all fields that the schema wants, of which the numbers are numbers.
+    JSON objects with all fields that the schema wants or that are ASKED_FOR, of which the numbers are numbers.
     """
 
     def __init__(self, store: _Store, name: str, file: _File) -> None:
@@ -350,7 +351,7 @@ class _Store:
         Raises:
             _Odd: not a list of rows as the schema wants them, or a token twice.
         """
-        read, selected, needed = _columns(TABLES[name])
+        read, selected, needed = _columns(TABLES[name], ASKED_FOR.get(name, {}))
         connection = self._database.cursor()
         try:
             connection.execute(
@@ -486,7 +487,7 @@ def _relation(target: Table[Any]) -> str | list[str]:
     return target.name
 
 
-def _columns(row_type: type[Row]) -> tuple[str, list[str], list[str]]:
+def _columns(row_type: type[Row], asked_for: Collection[str]) -> tuple[str, list[str], list[str]]:
     """SQL of what is read from a table's file, what is kept of it, and what must hold for every row."""
     read, selected, needed = [], [], []
     vectors, hints = _vector_fields(row_type), get_type_hints(row_type)
@@ -505,9 +506,10 @@ def _columns(row_type: type[Row]) -> tuple[str, list[str], list[str]]:
             kept = [field]
         elif field == "filename":
             kept = [_FOLDER]
-        if kept or definition.required:
+        is_needed = definition.required or field in asked_for
+        if kept or is_needed:
             read.append(f"{field}: '{_sql_type(hint)}'")
-        if definition.required:
+        if is_needed:
             needed.append(f"{field} is not null")
         selected += kept
     return f"{{{', '.join(read)}}}", selected, needed

@@ -1,0 +1,105 @@
+"""Rows without fields that nuscenes-devkit asks for: the output has them, and it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.datasets import Bench, Row, assert_consistent, paint, rows, unidrive
+from unidrive_cli.tables import dataset as dataset_module
+
+FILLED: dict[str, dict[str, Any]] = {
+    "log": {"logfile": "", "location": ""},
+    "map": {"filename": "", "log_tokens": []},
+    "scene": {"description": ""},
+    "instance": {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""},
+    "sample_annotation": {
+        **{"prev": "", "next": "", "visibility_token": "", "attribute_tokens": []},
+        **{"num_lidar_pts": -1, "num_radar_pts": 0},
+    },
+}
+"""What a row gets for a field that it lacks."""
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return paint(tmp_path_factory.mktemp("painted") / "drive", samples=2)
+
+
+@pytest.fixture
+def bench(painted: Path, tmp_path: Path) -> Bench:
+    return Bench(tmp_path, painted)
+
+
+def strip(bench: Bench, table: str, *fields: str, index: int | None = None) -> None:
+    """Takes fields out of all rows of a table, or out of one."""
+
+    def change(found: list[Row]) -> None:
+        for row in found if index is None else [found[index]]:
+            for field in fields:
+                del row[field]
+
+    bench.edit(table, change)
+
+
+def test_a_map_without_log_tokens(bench: Bench) -> None:
+    """nuScenes' teaser sets; no log is mapped then, and an empty map is put in for them."""
+    strip(bench, "map", "log_tokens")
+    run = bench.converted()
+    (log,) = rows(bench.dst, "log")
+    assert [row["log_tokens"] for row in rows(bench.dst, "map")] == [[], [log["token"]]]
+    assert "map.json: log_tokens is missing in 1 rows; [] is put in." in run.stdout
+
+
+def test_logs_of_the_teaser_name_their_map(bench: Bench) -> None:
+    strip(bench, "map", "log_tokens")
+    (a_map,) = rows(bench.src, "map")
+    bench.edit("log", lambda found: found[0].update(map_token=a_map["token"]))
+    run = bench.converted()
+    (log,) = rows(bench.dst, "log")
+    (found,) = rows(bench.dst, "map")
+    assert found == {**a_map, "log_tokens": [log["token"]]}
+    assert "map.json: log_tokens is missing in 1 rows; the logs with their map_token are put in." in run.stdout
+
+
+@pytest.mark.parametrize("scanned", [False, True], ids=["read", "scanned"])
+def test_every_field_that_is_asked_for(bench: Bench, scanned: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first row of each table lacks all of them, the others keep what they have."""
+    for table, fields in FILLED.items():
+        strip(bench, table, *fields, index=0)
+    if scanned:
+        monkeypatch.setattr(dataset_module, "LARGE_BYTES", 0)
+    run = bench.convert()
+    assert run.code == 0, run.stderr
+    for table, fields in FILLED.items():
+        source, found = rows(bench.src, table), rows(bench.dst, table)
+        for field, value in fields.items():
+            assert all(field in row for row in found), (table, field)
+            assert f"{table}.json: {field} is missing in 1 rows; " in run.stdout
+            if table in ("log", "scene") or field in ("visibility_token", "attribute_tokens", "num_lidar_pts"):
+                assert found[0][field] == value
+                assert [row[field] for row in found[1:]] == [row[field] for row in source[1:]]
+    boxes = rows(bench.dst, "image_annotations")
+    lacking = {box["num_lidar_pts"] for box in boxes if box["sample_annotation_token"] == source_token(bench)}
+    assert lacking == {-1}
+
+
+def source_token(bench: Bench) -> str:
+    token: str = rows(bench.src, "sample_annotation")[0]["token"]
+    return token
+
+
+def test_annotations_without_lists_are_linked_by_fix(bench: Bench) -> None:
+    strip(bench, "sample_annotation", "prev", "next")
+    assert unidrive("validate", bench.src, "--json").json()["counts"]["LINK-3"] > 0
+    assert unidrive("validate", bench.src, "--fix", "--json").json()["counts"]["LINK-3"] == 0
+    bench.converted()
+    assert any(row["next"] for row in rows(bench.dst, "sample_annotation"))
+
+
+def test_nothing_is_said_of_whole_rows(bench: Bench) -> None:
+    run = bench.converted()
+    assert "is missing in" not in run.stdout
+    assert_consistent(bench.dst)
