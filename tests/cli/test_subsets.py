@@ -106,3 +106,22 @@ def test_parts_of_a_subset_are_the_same_bytes_as_the_whole(bench: Bench) -> None
     done = unidrive("finalise", bench.src, parts, "--rig", bench.rig, *options)
     assert done.code == 0, done.stderr
     assert tree(parts, apart=("run.json",)) == tree(whole, apart=("run.json",))
+
+
+def test_a_test_split_without_annotations(bench: Bench) -> None:
+    for table in ("sample_annotation", "instance"):
+        bench.edit(table, lambda found: found.clear())
+    rename(bench, TRAINING, "scene-0077")
+    bench.converted("--split", "test", "--max-samples", 1)
+    assert [(row["name"], row["nbr_samples"]) for row in rows(bench.dst, "scene")] == [("scene-0077", 1)]
+    assert rows(bench.dst, "sample_annotation") == rows(bench.dst, "image_annotations") == []
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [((), 3, "holds no samples to convert"), (("--split", "val"), 2, "Its scenes are in: no split at all.")],
+)
+def test_no_scene_at_all(bench: Bench, options: tuple[object, ...], code: int, words: str) -> None:
+    for table in ("scene", "sample", "sample_data", "sample_annotation", "instance", "ego_pose"):
+        bench.edit(table, lambda found: found.clear())
+    bench.refused(code, words, options=options)
