@@ -27,12 +27,13 @@ MAY_IMPORT = {  # besides errors and the room itself
     "check": "geometry rig tables",
     "warp": "geometry rig",
     "convert": "workers cluster geometry rig tables check warp",
+    "merge": "workers cluster geometry rig tables check warp convert",
     "measure": "workers geometry rig tables warp",
     "optimize": "workers geometry rig tables warp measure",
     "synth": "workers geometry rig tables warp",
     "report": "workers geometry rig tables check warp measure",
     "machine": "workers cluster geometry rig tables check warp convert synth",
-    "cli": "workers cluster geometry rig tables check warp convert measure optimize synth report machine",
+    "cli": "workers cluster geometry rig tables check warp convert merge measure optimize synth report machine",
 }
 NOT_IN_GEOMETRY = {"json", "cv2", "logging", "pathlib", "os", "yaml", "ruamel", "msgspec", "io", "nuscenes"}
 ONLY_IN_CLI = {"typer", "click"}

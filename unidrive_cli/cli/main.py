@@ -10,6 +10,7 @@ from unidrive_cli.cli.doctor import doctor_command
 from unidrive_cli.cli.finalise import finalise_command
 from unidrive_cli.cli.inspect_rig import inspect_rig_command
 from unidrive_cli.cli.measure import measure_command
+from unidrive_cli.cli.merge import merge_command
 from unidrive_cli.cli.optimize_rig import optimize_rig_command
 from unidrive_cli.cli.synth import synth_command
 from unidrive_cli.cli.validate import validate_command
@@ -42,6 +43,7 @@ app.command("convert")(convert_command)
 app.command("finalise")(finalise_command)
 app.command("inspect-rig")(inspect_rig_command)
 app.command("measure")(measure_command)
+app.command("merge")(merge_command)
 app.command("optimize-rig")(optimize_rig_command)
 app.command("synth")(synth_command)
 app.command("validate")(validate_command)

@@ -198,7 +198,7 @@ def _carry_files(
         target = plan.names[filename]
         if target in pictures:
             continue  # an extra table names a picture in whose place a virtual one is
-        if carry(plan.dataset, filename, destination, target, plan.options.link):
+        if carry(plan.dataset.root / filename, target, destination, plan.options.link):
             carried += 1
         elif filename not in maps:
             missing += 1

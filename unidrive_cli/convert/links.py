@@ -81,16 +81,18 @@ def check_names_apart(dataset: Dataset, destination: Destination) -> None:
             )
 
 
-def carry(dataset: Dataset, filename: str, destination: Destination, target_name: str, how: Link) -> bool:
-    """Brings one file of the source into the destination; False where the source does not have it.
+def carry(source: Path, name: str, destination: Destination, how: Link) -> bool:
+    """Brings one file of a source into the destination; False where the source does not have it.
 
-    The names were checked when the conversion was planned.
+    Args:
+        source: the file.
+        name: what it is called there, a POSIX path relative to DST that has been checked.
 
     Raises:
         DatasetError: the file cannot be read.
         OutputError: it cannot be written.
     """
-    source, target = dataset.root / filename, destination.root / target_name
+    target = destination.root / name
     try:
         if not source.is_file():
             return False

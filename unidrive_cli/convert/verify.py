@@ -44,16 +44,23 @@ def verify_staged(plan: Plan, destination: Destination, staged_tables: Path) -> 
 
 
 def verify(plan: Plan, root: Path) -> Verified:
+    """Checks the output of a plan: `verify_dataset`."""
+    return verify_dataset(root, plan.version, plan.digest, whole=plan.options.verify == "full")
+
+
+def verify_dataset(root: Path, version: str, seed: str, *, whole: bool) -> Verified:
     """Checks an output: our own rules, the pictures, and nuscenes-devkit.
 
     Args:
-        root: the dataset.
+        root, version: the dataset and its version folder.
+        seed: decides which pictures are decoded.
+        whole: decode all of them, and open all scenes with the devkit.
 
     Raises:
         CheckError: something is wrong; the sentence says what.
     """
     try:
-        dataset = open_dataset(root, plan.version)
+        dataset = open_dataset(root, version)
         findings = list(check_references(dataset))
     except UnidriveError as error:
         raise CheckError(
@@ -61,12 +68,12 @@ def verify(plan: Plan, root: Path) -> Verified:
         ) from error
     if findings:
         raise CheckError(findings[0].what, where=f"the output, {findings[0].where} ({findings[0].rule})")
-    present, decoded = _check_pictures(plan, dataset, root)
-    boxes = open_with_devkit(dataset, whole=plan.options.verify == "full")
-    return Verified(len(list((root / plan.version).glob("*.json"))), present, decoded, boxes)
+    present, decoded = _check_pictures(dataset, root, seed, whole=whole)
+    boxes = open_with_devkit(dataset, whole=whole)
+    return Verified(len(list((root / version).glob("*.json"))), present, decoded, boxes)
 
 
-def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]:
+def _check_pictures(dataset: Dataset, root: Path, seed: str, *, whole: bool) -> tuple[int, int]:
     rows = list(dataset.sample_data.rows_at(np.flatnonzero(dataset.of_cameras)))
     for row in rows:
         path = root / row.filename
@@ -75,8 +82,8 @@ def _check_pictures(plan: Plan, dataset: Dataset, root: Path) -> tuple[int, int]
                 "the picture is missing.", where=f"the output, {row.filename}", hint="Start over with --force."
             )
     sampled = rows
-    if plan.options.verify == "sample" and len(rows) > SAMPLED_PICTURES:
-        sampled = random.Random(plan.digest).sample(rows, SAMPLED_PICTURES)
+    if not whole and len(rows) > SAMPLED_PICTURES:
+        sampled = random.Random(seed).sample(rows, SAMPLED_PICTURES)
     for row in sampled:
         _decode(root, row)
     return len(rows), len(sampled)

@@ -92,10 +92,13 @@ class Destination:
             ) from error
 
 
-def check_apart(source: Path, destination: Path) -> None:
+def check_apart(source: Path, destination: Path, names: tuple[str, str] = ("SRC", "DST")) -> None:
     """Refuses a destination that is the source, lies inside it, or holds it.
 
     Folders at the top of the source may be links to other disks; their targets count too.
+
+    Args:
+        names: what the command calls the two.
 
     Raises:
         UsageError: it does.
@@ -108,11 +111,12 @@ def check_apart(source: Path, destination: Path) -> None:
     except (OSError, RuntimeError) as error:
         raise DatasetError(f"cannot be read: {error}.", where=str(source)) from error
     dst = resolved_destination(destination)
+    of_src, of_dst = names
     for place, src in zip(places, sources, strict=True):
         if src == dst or src in dst.parents:
-            raise UsageError(f"DST {destination} is inside SRC {place}; the source is never written to.")
+            raise UsageError(f"{of_dst} {destination} is inside {of_src} {place}; the source is never written to.")
         if dst in src.parents:
-            raise UsageError(f"SRC {place} is inside DST {destination}; choose another DST.")
+            raise UsageError(f"{of_src} {place} is inside {of_dst} {destination}; choose another {of_dst}.")
 
 
 def resolved_destination(root: Path) -> Path:

@@ -291,22 +291,51 @@ def table_of(name: str, records: Iterable[dict[str, Any]]) -> ListedTable[Any]:
     return ListedTable(name, f"{name}.json", rows, list(raw), digest, sum(map(len, raw)))
 
 
-def write_rows(path: Path, rows: RawRows) -> int:
-    """Writes rows of JSON text as a list, one row a line, atomically; returns their number."""
-    count = 0
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as stream:
-        stream.write(b"[")
+class RowsFile:
+    """A table that is written a part at a time, as a list with one row a line; it is in its place when closed.
+
+    Attributes:
+        count: how many rows were written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.count = 0
+        self._path = path
+        self._temporary = path.with_name(path.name + ".part")
+        self._stream = self._temporary.open("wb")
+        self._stream.write(b"[")
+
+    def write(self, rows: RawRows) -> None:
+        """Writes further rows of JSON text."""
         for run in _runs(rows):
             if run.number:
-                stream.write(SEPARATOR if count else b"\n")
-                stream.write(run.text)
-                count += run.number
-        stream.write(b"\n]\n")
-        stream.flush()
-        os.fsync(stream.fileno())
-    temporary.replace(path)
-    return count
+                self._stream.write(SEPARATOR if self.count else b"\n")
+                self._stream.write(run.text)
+                self.count += run.number
+
+    def close(self) -> None:
+        """Ends the list and brings the file to its place."""
+        with self._stream as stream:
+            stream.write(b"\n]\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        self._temporary.replace(self._path)
+
+    def abandon(self) -> None:
+        """Closes what will not be brought to its place."""
+        self._stream.close()
+
+
+def write_rows(path: Path, rows: RawRows) -> int:
+    """Writes rows of JSON text as a list, one row a line, atomically; returns their number."""
+    file = RowsFile(path)
+    try:
+        file.write(rows)
+    except BaseException:
+        file.abandon()
+        raise
+    file.close()
+    return file.count
 
 
 def run_of(rows: Sequence[msgspec.Struct]) -> Run:
