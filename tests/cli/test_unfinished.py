@@ -36,6 +36,7 @@ def unfinished(request: pytest.FixtureRequest, bench: Bench, default: Path) -> P
         "convert {src} {out} --rig {begun}/{version}",
         "convert {src} {out} --rig {begun}",
         "convert {src} {out} --rig 6x60 --common-with {begun}",
+        "merge {begun} {src} --out {out}",
     ],
 )
 def test_every_command_refuses_it(bench: Bench, unfinished: Path, command: str) -> None:
