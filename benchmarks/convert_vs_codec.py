@@ -84,7 +84,7 @@ def moved(frame: Frame, metres: float) -> Frame:
     for source in frame.sources:
         cam_from_ego = source.cam_from_ego.copy()
         cam_from_ego[0, 3] += metres
-        sources.append(Source(source.lens, cam_from_ego))
+        sources.append(replace(source, cam_from_ego=cam_from_ego))
     return replace(frame, sources=tuple(sources))
 
 

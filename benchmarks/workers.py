@@ -25,7 +25,6 @@ from unidrive_cli.convert.units import Frame, Job, run_unit
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.tables.destination import Destination
 from unidrive_cli.tables.rig_of_dataset import resolve_rig
-from unidrive_cli.warp.remap import Source
 from unidrive_cli.warp.render import prepare
 from unidrive_cli.workers import in_workers, start_server
 
@@ -43,7 +42,7 @@ def at_another_moment(frame: Frame, number: int) -> Frame:
     for source in frame.sources:
         cam_from_ego = source.cam_from_ego.copy()
         cam_from_ego[0, 3] += 1e-4 * number
-        sources.append(Source(source.lens, cam_from_ego))
+        sources.append(replace(source, cam_from_ego=cam_from_ego))
     pictures = tuple(name.replace(".jpg", f"-{number}.jpg") for name in frame.pictures)
     return replace(frame, sample_token=str(number), pictures=pictures, sources=tuple(sources))
 

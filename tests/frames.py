@@ -13,6 +13,7 @@ from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.warp.opencv_kernel import OpenCVRenderer, ViewTables
 from unidrive_cli.warp.pictures import read_picture
+from unidrive_cli.warp.reduction import Copies
 
 
 @dataclass
@@ -46,7 +47,7 @@ def render_samples(
         rendered.append(
             Rendered(
                 unit.sample.token,
-                {c: view.render(sources) for c, view in zip(rig.channels, tables, strict=True)},
+                {c: view.render(Copies(sources)) for c, view in zip(rig.channels, tables, strict=True)},
                 dict(zip(rig.channels, tables, strict=True)),
                 {
                     dataset.sensor_of(row).channel: picture

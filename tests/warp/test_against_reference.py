@@ -50,7 +50,7 @@ def test_same_pictures_and_masks_as_the_second_implementation(shared_data: Path,
     folder, version, token = CARS[car]
     root = shared_data / folder
     sample = reference.load_sample(root, version, token)
-    (ours,) = render_samples(root, load_rig(rig_path), token=token, depth_limit_m=45.0)
+    (ours,) = render_samples(root, load_rig(rig_path), token=token, depth_limit_m=45.0, anti_alias=False)
     for camera in reference.rig_from_yaml(rig_path):
         theirs = reference.reference_view(
             camera,

@@ -117,7 +117,10 @@ def texture(size_px: tuple[int, int], seed: int) -> npt.NDArray[np.uint8]:
 
 @pytest.mark.parametrize(("real", "virtual"), [("5x70+110", "roof-6x70"), ("6x60", "8x50"), ("4x95", "5x75")])
 def test_every_pixel_looks_where_the_geometry_says(real: str, virtual: str) -> None:
-    """All pixels of three rigs with ego motion: coordinates to 0.02 px (asked: 0.1), masks exactly."""
+    """All pixels of three rigs with ego motion: coordinates to 0.02 px (asked: 0.1), masks exactly.
+
+    So are those in copies that are twice and three times smaller, in their pixels.
+    """
     sources = moved_sources(load_gallery_rig(real))
     worst, compared = 0.0, 0
     for view in virtual_views(load_gallery_rig(virtual), DEPTH_LIMIT_M, 0.0):
@@ -126,15 +129,19 @@ def test_every_pixel_looks_where_the_geometry_says(real: str, virtual: str) -> N
                        blend="angular")  # fmt: skip
         np.testing.assert_array_equal(canvas.mask, coverage(view, patches))
         assert not (canvas.planes[0] > 0).any()
-        models = source_models(view, sources)
-        layout = Atlas(tuple((s.lens.width_px, s.lens.height_px) for s in sources)).layout
+        reductions = [1 + index % 3 for index in range(len(sources))]
+        models = source_models(view, sources, reductions)
+        copies = tuple((index, n) for index, n in enumerate(reductions) if n > 1)
+        atlas = Atlas(tuple((s.lens.width_px, s.lens.height_px) for s in sources), copies)
+        layout = atlas.layout_of(reductions)
         out = np.empty((*canvas.mask.shape, 2))
         xs, ys = canvas.xs[0], canvas.ys[0]
         for patch in patches:
-            lens = sources[patch.source].lens
+            n = reductions[patch.source]
             coordinates(xs, np.append(xs, np.zeros(8)).astype(np.float32), ys, canvas.scene, models, layout,
                         patch.source, out)  # fmt: skip
-            at_border = np.clip(patch.pixels, 0, [lens.width_px - 1, lens.height_px - 1])
+            in_copy = (patch.pixels + 0.5) / n - 0.5
+            at_border = np.clip(in_copy, 0, layout[patch.source, fused.SIZES : fused.SIZES + 2] - 1)
             error = np.abs(out[patch.box] - at_border)[patch.valid]
             worst, compared = max(worst, float(error.max())), compared + len(error)
     assert compared > 4_000_000

@@ -18,6 +18,7 @@ from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.opencv_kernel import OpenCVRenderer
 from unidrive_cli.warp.pictures import Picture
+from unidrive_cli.warp.reduction import Copies
 from unidrive_cli.warp.remap import Source, VirtualView, build_patches, coverage, dominant_sources
 
 
@@ -164,7 +165,7 @@ def test_two_grey_sources_mix_or_decide(blend: str, middle: tuple[int, ...]) -> 
     rig = Rig("r", "", (Camera("V", Pinhole.from_hfov(80, 400, 200), _level(0, 0.0)),))
     grey: list[Picture] = [np.full((300, 400, 3), level, dtype=np.uint8) for level in (50, 150)]
     (view,) = OpenCVRenderer(rig, WarpChoices(blend=blend)).tables([source_of(camera) for camera in real])
-    picture = view.render(grey)
+    picture = view.render(Copies(grey))
     assert (picture[100, 0] == 50).all()
     assert (picture[100, -1] == 150).all()
     assert set(picture[100, 199:201].ravel()) <= set(range(middle[0], middle[-1] + 1))

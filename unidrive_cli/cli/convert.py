@@ -13,6 +13,7 @@ import typer
 
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
+    ANTI_ALIAS,
     BLEND,
     CAMERAS,
     COMMON_SWEEP,
@@ -100,6 +101,7 @@ def convert_command(
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
+    anti_alias: bool = ANTI_ALIAS,
     common_with: list[str] = COMMON_WITH,
     common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
@@ -151,7 +153,7 @@ def convert_command(
         dst,
         rig,
         (version, layout),
-        (depth_limit, ground_height, blend, ego_motion),
+        (depth_limit, ground_height, blend, ego_motion, anti_alias),
         (common_with, common_sweep),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
@@ -198,7 +200,7 @@ def planned(
     dst: Path,
     rig: str,
     source: tuple[str | None, str | None],
-    warp: tuple[float | None, float | None, Blend, bool],
+    warp: tuple[float | None, float | None, Blend, bool, bool],
     common_with: tuple[list[str], float | None],
     **chosen: Any,
 ) -> Plan:
@@ -206,7 +208,7 @@ def planned(
 
     Args:
         source: version and layout of SRC, as given.
-        warp: depth limit, ground height, blend, ego motion, as given.
+        warp: depth limit, ground height, blend, ego motion, anti-aliasing, as given.
         common_with: rigs that must fill what is shown, and the sweep, as given.
         chosen: the other `Options`.
     """

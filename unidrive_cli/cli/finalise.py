@@ -22,6 +22,7 @@ from unidrive_cli.cli.convert import (
     say_summary,
 )
 from unidrive_cli.cli.shared import (
+    ANTI_ALIAS,
     BLEND,
     CAMERAS,
     COMMON_SWEEP,
@@ -60,6 +61,7 @@ def finalise_command(
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
+    anti_alias: bool = ANTI_ALIAS,
     common_with: list[str] = COMMON_WITH,
     common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
@@ -89,7 +91,7 @@ def finalise_command(
         dst,
         rig,
         (version, layout),
-        (depth_limit, ground_height, blend, ego_motion),
+        (depth_limit, ground_height, blend, ego_motion, anti_alias),
         (common_with, common_sweep),
         quality=quality,
         scenes=tuple(sorted(set(scene))),

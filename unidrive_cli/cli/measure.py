@@ -12,6 +12,7 @@ import typer
 
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
+    ANTI_ALIAS,
     BLEND,
     CAMERAS,
     CONFIG,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from unidrive_cli.measure.projection import Errors, ProjectionReport, Spread
     from unidrive_cli.measure.truth import Fidelity, TruthReport
 
-_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion", "camera", "png")
+_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion", "anti_alias", "camera", "png")
 _NAME_WIDTH = 34
 
 
@@ -69,6 +70,7 @@ def measure_command(
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
+    anti_alias: bool = ANTI_ALIAS,
     png: Path | None = option(
         None, "--png", help="Draw the projection error there: from above, and by distance.", show_default=False
     ),
@@ -99,8 +101,9 @@ def measure_command(
         _refuse_choices(context)
     elif source is not None:
         raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
-    elif truth is None and "blend" in _on_the_command_line(context):
-        raise UsageError("--blend goes with --truth; the projection error is that of the angular blend.")
+    elif truth is None and (given := _on_the_command_line(context) & {"blend", "anti_alias"}):
+        name = min(given).replace("_", "-")
+        raise UsageError(f"--{name} goes with --truth; the projection error is that of the angular blend.")
     compared: TruthReport | None = None
     projected: ProjectionReport | None = None
     notes: list[str] = []
@@ -118,7 +121,7 @@ def measure_command(
     if rig is not None:
         fleet, notes = resolve_fleet(rig, size_of_file)
         virtual_rig = fleet.virtual
-        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion)
+        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion, anti_alias)
         alone = len(datasets) == 1
         open_one = open_dataset if alone else open_named
         opened = [open_one(one, version, layout=layout) for one in datasets]

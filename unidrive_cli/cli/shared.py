@@ -155,13 +155,21 @@ BLEND = option("angular", "--blend", help="How overlapping source pictures are j
 EGO_MOTION = option(
     True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
 )
+ANTI_ALIAS = option(
+    True, "--anti-alias/--no-anti-alias", help="Sample sources that are shrunk by more than 1.5 from reduced copies."
+)
 JOBS = option(
     None, "--jobs", "-j", help="Samples worked on at once; 0 works in this process alone (default: one per core)."
 )
 
 
 def warp_choices(
-    rig: Rig, depth_limit_m: float | None, ground_height_m: float | None, blend: Blend, ego_motion: bool
+    rig: Rig,
+    depth_limit_m: float | None,
+    ground_height_m: float | None,
+    blend: Blend,
+    ego_motion: bool,
+    anti_alias: bool = True,
 ) -> WarpChoices:
     """The options of the warp; where one is not given the rig's own value counts, then the default."""
 
@@ -173,6 +181,7 @@ def warp_choices(
         first(ground_height_m, rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
         blend,
         ego_motion,
+        anti_alias,
     )
 
 

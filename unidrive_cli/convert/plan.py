@@ -40,7 +40,7 @@ from unidrive_cli.warp.pictures import check_size, jpeg_bytes, read_head, size_o
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
 
-METHOD = 3
+METHOD = 4
 """Version of what the pictures and tables depend on; a change of results raises it."""
 
 STANDARD_CHANNELS = (

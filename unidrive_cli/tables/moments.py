@@ -47,7 +47,7 @@ def cameras_of(dataset: Dataset, sample: Sample, reference: SampleData) -> dict[
 
 def lens_and_cam_from_ego(
     dataset: Dataset, row: SampleData, size_px: tuple[int, int], global_from_ego: Float, *, ego_motion: bool
-) -> tuple[Lens, Float]:
+) -> tuple[Lens, Float, Float]:
     """Lens of the camera that took a picture, and where it stood, seen from the car at another moment.
 
     Args:
@@ -56,14 +56,17 @@ def lens_and_cam_from_ego(
         ego_motion: whether the car's motion between the two moments counts.
 
     Returns:
-        The lens, and `cam_from_ego` (4, 4) from the ego frame of that moment into the camera.
+        The lens, `cam_from_ego` (4, 4) from the ego frame of that moment into the camera, and `cam_from_own_ego`
+        (4, 4) from that of the picture's own, the calibration.
 
     Raises:
         DatasetError: dangling tokens, or numbers that are no camera or no pose.
     """
     lens, ego_from_cam = lens_and_pose(dataset, row, size_px)
-    cam_from_ego = inverse(ego_from_cam)
-    return lens, seen_from(dataset, row, cam_from_ego, global_from_ego) if ego_motion else cam_from_ego
+    cam_from_own_ego = inverse(ego_from_cam)
+    if not ego_motion:
+        return lens, cam_from_own_ego, cam_from_own_ego
+    return lens, seen_from(dataset, row, cam_from_own_ego, global_from_ego), cam_from_own_ego
 
 
 def seen_from(dataset: Dataset, row: SampleData, cam_from_own_ego: Float, global_from_ego: Float) -> Float:

@@ -29,12 +29,14 @@ class WarpChoices:
         blend: `angular` mixes overlapping sources, `nearest` takes the one with the largest weight.
         ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
             the reference's.
+        anti_alias: whether sources that are shrunk by more than 1.5 are sampled from reduced copies.
     """
 
     depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M
     ground_height_m: float = DEFAULT_GROUND_HEIGHT_M
     blend: Blend = "angular"
     ego_motion: bool = True
+    anti_alias: bool = True
 
     def __post_init__(self) -> None:
         if not 0 < self.depth_limit_m <= 1e6:

@@ -669,6 +669,35 @@ def split_planes(picture, luma, blue, red):
             red[row, column] = np.uint8(_i4(_i4(_i4(cr >> _i4(2)) + _i4(128 * 65536 + 32767)) >> _i4(16)))
 
 
+@njit(**_OPTIONS)
+def reduce_plane(plane, height, width, n, sums, reduced):
+    """Means of n x n samples (rounded to nearest) of a plane; its last row and column go on beyond it.
+
+    `sums` is memory to work in, uint32, of the width and n more; n is 64 at most.
+    """
+    area = _u8(n) * _u8(n)
+    half, inverse = area // _u8(2), (_u8(1 << 32) + area - _u8(1)) // area
+    columns = (width + n - 1) // n
+    for row in range((height + n - 1) // n):
+        for k in range(n):
+            line = row * n + k
+            line = line if line < height else height - 1
+            for i in range(_u8(width)):
+                sums[i] = (sums[i] if k else np.uint32(0)) + np.uint32(plane[line, i])
+        for i in range(_u8(width), _u8(columns * n)):
+            sums[i] = sums[width - 1]
+        if n == 2:
+            for i in range(_u8(columns)):
+                two = np.uint32(sums[_u8(2) * i] + sums[_u8(2) * i + _u8(1)] + np.uint32(2))
+                reduced[row, i] = np.uint8(two >> np.uint32(2))
+        else:
+            for i in range(_u8(columns)):
+                total = half
+                for k in range(_u8(n)):
+                    total += _u8(sums[i * _u8(n) + k])
+                reduced[row, i] = np.uint8((total * inverse) >> _u8(32))
+
+
 def warm_up() -> None:
     """Compiles the kernel, or loads it from the disk; once, before worker processes do so side by side."""
     axis, axis32, planes = np.zeros(2), np.zeros(2 + LANES, np.float32), np.zeros(6 + 3 * LANES, np.uint8)
@@ -679,3 +708,5 @@ def warm_up() -> None:
         planes.copy(), *scratch(2, 0),
     )  # fmt: skip
     split_planes(np.zeros((2, 2, 3), np.uint8), *np.zeros((3, 2, 2), np.uint8))
+    plane = np.zeros((2, 2), np.uint8)
+    reduce_plane(plane, 2, 2, 2, np.zeros(4, np.uint32), plane.copy())

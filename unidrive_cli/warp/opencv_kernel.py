@@ -14,6 +14,7 @@ from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
 from unidrive_cli.warp.pictures import Picture, encode_jpeg, read_picture
+from unidrive_cli.warp.reduction import Copies, Reductions
 from unidrive_cli.warp.remap import (
     Mask,
     Patch,
@@ -50,16 +51,19 @@ class OpenCVRenderer:
         self.views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
         self._blend = choices.blend
         self._blanks = blanks_of(common, len(self.views))
+        self._reductions = Reductions(self.views, anti_alias=choices.anti_alias)
         self._tables: tuple[object, list[ViewTables]] | None = None
 
     def render(
         self, paths: Sequence[Path], sources: Sequence[Source], quality: int, hint: str
     ) -> Iterator[VirtualPicture]:
         """See `unidrive_cli.warp.render.Renderer`."""
-        pictures = [
-            read_picture(path, (source.lens.width_px, source.lens.height_px), hint)
-            for path, source in zip(paths, sources, strict=True)
-        ]
+        pictures = Copies(
+            [
+                read_picture(path, (source.lens.width_px, source.lens.height_px), hint)
+                for path, source in zip(paths, sources, strict=True)
+            ]
+        )
         for tables, blanks in zip(self.tables(sources), self._blanks, strict=True):
             picture = tables.render(pictures)
             if blanks:
@@ -69,10 +73,13 @@ class OpenCVRenderer:
 
     def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
         """The remap tables of all virtual cameras for these sources."""
-        key = tuple((source.lens, source.cam_from_ego.tobytes()) for source in sources)
+        key = tuple((source.lens, source.cam_from_ego.tobytes(), source.calibrated.tobytes()) for source in sources)
         if self._tables is None or self._tables[0] != key:
             self._tables = None
-            built = [ViewTables(view, build_patches(view, sources, self._blend)) for view in self.views]
+            built = [
+                ViewTables(view, build_patches(view, sources, self._blend), reductions)
+                for view, reductions in zip(self.views, self._reductions.of(sources), strict=True)
+            ]
             self._tables = (key, built)
         return self._tables[1]
 
@@ -80,22 +87,26 @@ class OpenCVRenderer:
 class ViewTables:
     """The remap tables of one virtual camera, in the form that OpenCV's kernels take."""
 
-    def __init__(self, view: VirtualView, patches: Sequence[Patch]) -> None:
+    def __init__(self, view: VirtualView, patches: Sequence[Patch], reductions: Sequence[int]) -> None:
+        """
+        Args:
+            reductions: of which copy each source's pixels are taken, see `unidrive_cli.warp.reduction`.
+        """
         lens = view.camera.lens
         self._shape = (lens.height_px, lens.width_px, 3)
         self.mask: Mask = coverage(view, patches)
         done = np.zeros(self._shape[:2], dtype=np.float32)
         self.sources = [patch.source for patch in patches]
         bands = [band for patch in patches for band in strips(patch, _BAND_ROWS)]
-        self._steps = [_Step.after(done, band) for band in bands]
+        self._steps = [_Step.after(done, band, reductions[band.source]) for band in bands]
         self._scratch_bytes = max((3 * band.valid.size for band in bands), default=0)
 
-    def render(self, pictures: Sequence[Picture]) -> Picture:
+    def render(self, pictures: Copies) -> Picture:
         """The virtual picture (H, W, 3) uint8 of the sources' pictures; black where none sees the pixel."""
         canvas = np.zeros(self._shape, dtype=np.uint8)
         scratch = np.empty(self._scratch_bytes, dtype=np.uint8)
         for step in self._steps:
-            step.draw(pictures[step.source], canvas, scratch)
+            step.draw(pictures.of(step.source, step.reduction), canvas, scratch)
         return canvas
 
 
@@ -124,13 +135,15 @@ class _Step:
 
     Attributes:
         source: index of the source.
+        reduction: which copy of its picture is drawn.
         box: rows and columns of the virtual picture.
-        whole, fraction: source coordinates in OpenCV's fixed-point form (1/32 pixel).
+        whole, fraction: coordinates in that copy, in OpenCV's fixed-point form (1/32 pixel).
         fresh: (h, w) uint8, non-zero where this source is the first; None where it is so everywhere.
         mix: the pixels where it is not.
     """
 
     source: int
+    reduction: int
     box: tuple[slice, slice]
     whole: npt.NDArray[np.int16]
     fraction: npt.NDArray[np.uint16]
@@ -138,7 +151,7 @@ class _Step:
     mix: _Mix | None
 
     @classmethod
-    def after(cls, done: npt.NDArray[np.float32], patch: Patch) -> _Step:
+    def after(cls, done: npt.NDArray[np.float32], patch: Patch, reduction: int) -> _Step:
         """The step of `patch` after the summed weights `done` (H, W), which it adds its own to."""
         before = done[patch.box]
         overlap = patch.valid & (before > 0)
@@ -147,10 +160,12 @@ class _Step:
         box = bounds(overlap)
         if box is not None:
             mix = _Mix(box, overlap[box].astype(np.uint8), before[box].copy(), patch.weight[box].copy())
-        whole, fraction = cv2.convertMaps(patch.pixels, _NO_SECOND_MAP, cv2.CV_16SC2)
+        pixels = patch.pixels if reduction == 1 else (patch.pixels + np.float32(0.5)) / reduction - np.float32(0.5)
+        whole, fraction = cv2.convertMaps(pixels, _NO_SECOND_MAP, cv2.CV_16SC2)
         done[patch.box] += patch.weight
         return cls(
             patch.source,
+            reduction,
             patch.box,
             np.asarray(whole, dtype=np.int16),
             np.asarray(fraction, dtype=np.uint16),

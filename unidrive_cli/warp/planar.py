@@ -20,6 +20,7 @@ from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
 from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
+from unidrive_cli.warp.reduction import Reductions
 from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
 from unidrive_cli.warp.render import VirtualPicture
 from unidrive_cli.warp.turbojpeg import Planes, TurboJpeg
@@ -45,6 +46,7 @@ class PlanarRenderer:
         self._canvases = [Canvas(view, memory) for view in views]
         self._blanks = blanks_of(common, len(views))
         self._nearest = choices.blend == "nearest"
+        self._reductions = Reductions(views, anti_alias=choices.anti_alias)
         self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
         self._atlas: Atlas | None = None
 
@@ -53,13 +55,15 @@ class PlanarRenderer:
     ) -> Iterator[VirtualPicture]:
         """See `unidrive_cli.warp.render.Renderer`."""
         sizes = tuple((source.lens.width_px, source.lens.height_px) for source in sources)
-        if self._atlas is None or self._atlas.sizes != sizes:
-            self._atlas = Atlas(sizes)
+        reductions = self._reductions.of(sources)
+        copies = tuple(sorted({(j, n) for of_view in reductions for j, n in enumerate(of_view) if n > 1}))
+        if self._atlas is None or (self._atlas.sizes, self._atlas.copies) != (sizes, copies):
+            self._atlas = Atlas(sizes, copies)
         with hinting(hint):
             for index, path in enumerate(paths):
                 self._atlas.load(index, path, self._turbo)
-        for canvas, blanks in zip(self._canvases, self._blanks, strict=True):
-            canvas.draw(self._atlas, sources, nearest=self._nearest)
+        for canvas, blanks, of_view in zip(self._canvases, self._blanks, reductions, strict=True):
+            canvas.draw(self._atlas, sources, nearest=self._nearest, reductions=of_view)
             covered_px = canvas.covered_px
             if blanks:
                 blanks.cover(canvas.mask)
@@ -74,20 +78,24 @@ class PlanarRenderer:
 
 
 class Atlas:
-    """The planes of all source pictures of a frame in one block of memory.
+    """The planes of all source pictures of a frame, and of their reduced copies, in one block of memory.
 
     Attributes:
         sizes: (width, height) in pixels of each picture.
-        layout: (n, LAYOUT_COLUMNS) int64, where the kernel finds them.
+        copies: (picture, n) of each copy that is n times smaller.
+        layout: (pictures + copies, LAYOUT_COLUMNS) int64, where the kernel finds them.
         memory: uint8.
     """
 
-    def __init__(self, sizes: Sizes) -> None:
+    def __init__(self, sizes: Sizes, copies: tuple[tuple[int, int], ...] = ()) -> None:
         self.sizes = sizes
-        self.layout = np.zeros((len(sizes), fused.LAYOUT_COLUMNS), dtype=np.int64)
+        self.copies = copies
+        self.layout = np.zeros((len(sizes) + len(copies), fused.LAYOUT_COLUMNS), dtype=np.int64)
+        planes = [np.array([width, height, _half(width), _half(height)]) for width, height in sizes]
+        planes += [-(-planes[j] // n) for j, n in copies]
         offset = 0
-        for row, (width, height) in zip(self.layout, sizes, strict=True):
-            row[fused.SIZES : fused.SIZES + 4] = width, height, _half(width), _half(height)
+        for row, sides in zip(self.layout, planes, strict=True):
+            row[fused.SIZES : fused.SIZES + 4] = sides
             for plane in range(3):
                 chroma = plane > 0
                 plane_width, plane_height = row[fused.SIZES + 2 * chroma : fused.SIZES + 2 * chroma + 2]
@@ -96,18 +104,34 @@ class Atlas:
                 offset += int(plane_width + 2) * int(plane_height + 2)
         self.memory = np.zeros(offset, dtype=np.uint8)
         self._bgr = np.empty(0, dtype=np.uint8)
+        self._sums = np.empty(max((sizes[j][0] + n for j, n in copies), default=0), dtype=np.uint32)
+
+    def layout_of(self, reductions: Sequence[int]) -> npt.NDArray[np.int64]:
+        """The layout (pictures, LAYOUT_COLUMNS) of the copies that one virtual camera samples; 1 is the picture."""
+        rows = [j if n == 1 else len(self.sizes) + self.copies.index((j, n)) for j, n in enumerate(reductions)]
+        layout: npt.NDArray[np.int64] = self.layout[rows]
+        return layout
 
     def planes(self, index: int) -> Planes:
-        """Y, U, V of a picture, each with two rows and two columns more than its samples."""
+        """Y, U, V of a picture or a copy, each with two rows and two columns more than its samples."""
         row = self.layout[index]
         return _plane(self.memory, row, 0), _plane(self.memory, row, 1), _plane(self.memory, row, 2)
 
     def load(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
-        """Reads a picture file into its planes.
+        """Reads a picture file into its planes, and reduces them to those of its copies.
 
         Raises:
             PictureError: missing, broken, or of another size.
         """
+        self._decode(index, path, turbo)
+        for row, (picture, n) in enumerate(self.copies, len(self.sizes)):
+            if picture == index:
+                sides = self.layout[index, fused.SIZES : fused.SIZES + 4]
+                for plane, (whole, copy) in enumerate(zip(self.planes(index), self.planes(row), strict=True)):
+                    width, height = sides[2 * (plane > 0) :][:2]
+                    fused.reduce_plane(whole, height, width, n, self._sums, copy)
+
+    def _decode(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
         data, planes = read_file(path), self.planes(index)
         check_size(data, self.sizes[index], str(path))
         if turbo and is_jpeg(data):
@@ -184,8 +208,15 @@ class Canvas:
             start += shape[0] * shape[1] + fused.LANES
         return planes[0], planes[1], planes[2]
 
-    def draw(self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool) -> None:
-        """Draws the picture and its mask."""
+    def draw(
+        self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool, reductions: Sequence[int] = ()
+    ) -> None:
+        """Draws the picture and its mask.
+
+        Args:
+            reductions: which copy of each source is sampled; the full pictures where empty.
+        """
+        reductions = reductions or (1,) * len(sources)
         if self._sources != len(sources):
             self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
         self.covered_px = fused.draw_view(
@@ -196,8 +227,8 @@ class Canvas:
             self._xs32[1],
             self.ys[1],
             self.scene,
-            source_models(self.view, sources),
-            atlas.layout,
+            source_models(self.view, sources, reductions),
+            atlas.layout_of(reductions),
             nearest,
             atlas.memory,
             self._memory,
@@ -206,12 +237,15 @@ class Canvas:
         )
 
 
-def source_models(view: VirtualView, sources: Sequence[Source]) -> Float:
-    """What the kernel knows of each source: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
+def source_models(view: VirtualView, sources: Sequence[Source], reductions: Sequence[int]) -> Float:
+    """What the kernel knows of each source and the copy that is sampled: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
     models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
     points = np.array([source.cam_from_ego for source in sources]).reshape(-1, 4, 4) @ view.camera.ego_from_cam
     forms = np.array([_forms(_pinhole(source.lens)) for source in sources]).reshape(-1, fused.ASIDE, 3)
     models[:, : fused.ASIDE] = forms @ points[:, :3]
+    for model, n in zip(models, reductions, strict=True):
+        for row in (fused.LUMA, fused.CHROMA) if n > 1 else ():
+            model[row : row + 2] = model[row : row + 2] / n + (0.5 / n - 0.5) * model[row + 2]
     models[:, fused.ASIDE, :3] = np.matmul(points[:, None, :3, 3], points[:, :3, :3])[:, 0]
     return models
 

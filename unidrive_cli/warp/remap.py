@@ -35,10 +35,17 @@ class Source:
         lens: its lens, with the picture size.
         cam_from_ego: (4, 4) from the virtual picture's ego frame into the source camera, the ego
             motion between the two moments included.
+        cam_from_own_ego: (4, 4) the calibration alone; None where `cam_from_ego` is just that.
     """
 
     lens: Lens
     cam_from_ego: Float
+    cam_from_own_ego: Float | None = None
+
+    @property
+    def calibrated(self) -> Float:
+        """(4, 4) from the ego frame of the source's own moment into its camera."""
+        return self.cam_from_ego if self.cam_from_own_ego is None else self.cam_from_own_ego
 
     @property
     def centre_ego(self) -> Float:
