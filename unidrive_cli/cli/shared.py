@@ -156,7 +156,9 @@ EGO_MOTION = option(
     True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
 )
 ANTI_ALIAS = option(
-    True, "--anti-alias/--no-anti-alias", help="Sample sources that are shrunk by more than 1.5 from reduced copies."
+    True,
+    "--anti-alias/--no-anti-alias",
+    help="Sample sources that are shrunk by more than 1.95 from reduced copies.",
 )
 JOBS = option(
     None, "--jobs", "-j", help="Samples worked on at once; 0 works in this process alone (default: one per core)."

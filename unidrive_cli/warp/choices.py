@@ -29,7 +29,7 @@ class WarpChoices:
         blend: `angular` mixes overlapping sources, `nearest` takes the one with the largest weight.
         ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
             the reference's.
-        anti_alias: whether sources that are shrunk by more than 1.5 are sampled from reduced copies.
+        anti_alias: whether sources that are shrunk by more than 1.95 are sampled from reduced copies.
     """
 
     depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M

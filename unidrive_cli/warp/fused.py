@@ -670,32 +670,41 @@ def split_planes(picture, luma, blue, red):
 
 
 @njit(**_OPTIONS)
-def reduce_plane(plane, height, width, n, sums, reduced):
-    """Means of n x n samples (rounded to nearest) of a plane; its last row and column go on beyond it.
+def reduce_plane(plane, height, width, quarters, sums, integral, reduced):
+    """Means (rounded to nearest) of squares of a plane; its last row and column go on beyond it.
 
-    `sums` is memory to work in, uint32, of the width and n more; n is 64 at most.
+    Args:
+        plane: uint8, at least (height, width).
+        quarters: side of the squares in quarters of a sample, 5 to 256.
+        sums, integral: memory to work in, uint32, of the width and 66 more.
+        reduced: uint8 result, at least ceil(4 height / quarters) x ceil(4 width / quarters).
     """
-    area = _u8(n) * _u8(n)
-    half, inverse = area // _u8(2), (_u8(1 << 32) + area - _u8(1)) // area
-    columns = (width + n - 1) // n
-    for row in range((height + n - 1) // n):
-        for k in range(n):
-            line = row * n + k
-            line = line if line < height else height - 1
+    side, area = np.uint32(quarters), _u8(quarters) * _u8(quarters)
+    half, inverse = area // _u8(2), (_u8(1 << 48) + area - _u8(1)) // area
+    columns = (4 * width + quarters - 1) // quarters
+    whole = (columns * quarters + 3) // 4
+    for row in range((4 * height + quarters - 1) // quarters):
+        first, end = row * quarters, (row + 1) * quarters
+        for i in range(_u8(whole)):
+            sums[i] = np.uint32(0)
+        for line in range(first // 4, (end + 3) // 4):
+            part = np.uint32(min(end, 4 * line + 4) - max(first, 4 * line))
+            at = line if line < height else height - 1
             for i in range(_u8(width)):
-                sums[i] = (sums[i] if k else np.uint32(0)) + np.uint32(plane[line, i])
-        for i in range(_u8(width), _u8(columns * n)):
+                sums[i] += np.uint32(part * np.uint32(plane[at, i]))
+        for i in range(_u8(width), _u8(whole + 1)):
             sums[i] = sums[width - 1]
-        if n == 2:
-            for i in range(_u8(columns)):
-                two = np.uint32(sums[_u8(2) * i] + sums[_u8(2) * i + _u8(1)] + np.uint32(2))
-                reduced[row, i] = np.uint8(two >> np.uint32(2))
-        else:
-            for i in range(_u8(columns)):
-                total = half
-                for k in range(_u8(n)):
-                    total += _u8(sums[i * _u8(n) + k])
-                reduced[row, i] = np.uint8((total * inverse) >> _u8(32))
+        total = np.uint32(0)
+        for i in range(_u8(whole + 1)):
+            integral[i] = total
+            total = np.uint32(total + (sums[i] << np.uint32(2)))
+        before, quarter = np.uint32(0), np.uint32(0)
+        for i in range(_u8(columns)):
+            quarter = np.uint32(quarter + side)
+            at_end = quarter >> np.uint32(2)
+            until = np.uint32(integral[at_end] + np.uint32((quarter & np.uint32(3)) * sums[at_end]))
+            reduced[row, i] = np.uint8((_u8(np.uint32(until - before)) + half) * inverse >> _u8(48))
+            before = until
 
 
 def warm_up() -> None:
@@ -709,4 +718,4 @@ def warm_up() -> None:
     )  # fmt: skip
     split_planes(np.zeros((2, 2, 3), np.uint8), *np.zeros((3, 2, 2), np.uint8))
     plane = np.zeros((2, 2), np.uint8)
-    reduce_plane(plane, 2, 2, 2, np.zeros(4, np.uint32), plane.copy())
+    reduce_plane(plane, 2, 2, 8, *np.zeros((2, 68), np.uint32), plane.copy())

@@ -87,7 +87,7 @@ class OpenCVRenderer:
 class ViewTables:
     """The remap tables of one virtual camera, in the form that OpenCV's kernels take."""
 
-    def __init__(self, view: VirtualView, patches: Sequence[Patch], reductions: Sequence[int]) -> None:
+    def __init__(self, view: VirtualView, patches: Sequence[Patch], reductions: Sequence[float]) -> None:
         """
         Args:
             reductions: of which copy each source's pixels are taken, see `unidrive_cli.warp.reduction`.
@@ -143,7 +143,7 @@ class _Step:
     """
 
     source: int
-    reduction: int
+    reduction: float
     box: tuple[slice, slice]
     whole: npt.NDArray[np.int16]
     fraction: npt.NDArray[np.uint16]
@@ -151,7 +151,7 @@ class _Step:
     mix: _Mix | None
 
     @classmethod
-    def after(cls, done: npt.NDArray[np.float32], patch: Patch, reduction: int) -> _Step:
+    def after(cls, done: npt.NDArray[np.float32], patch: Patch, reduction: float) -> _Step:
         """The step of `patch` after the summed weights `done` (H, W), which it adds its own to."""
         before = done[patch.box]
         overlap = patch.valid & (before > 0)
@@ -160,7 +160,11 @@ class _Step:
         box = bounds(overlap)
         if box is not None:
             mix = _Mix(box, overlap[box].astype(np.uint8), before[box].copy(), patch.weight[box].copy())
-        pixels = patch.pixels if reduction == 1 else (patch.pixels + np.float32(0.5)) / reduction - np.float32(0.5)
+        pixels = (
+            patch.pixels
+            if reduction == 1
+            else (patch.pixels + np.float32(0.5)) / np.float32(reduction) - np.float32(0.5)
+        )
         whole, fraction = cv2.convertMaps(pixels, _NO_SECOND_MAP, cv2.CV_16SC2)
         done[patch.box] += patch.weight
         return cls(

@@ -20,7 +20,7 @@ from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
 from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
-from unidrive_cli.warp.reduction import Reductions
+from unidrive_cli.warp.reduction import MAX_REDUCTION, STEPS, Reductions, reduced_size
 from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
 from unidrive_cli.warp.render import VirtualPicture
 from unidrive_cli.warp.turbojpeg import Planes, TurboJpeg
@@ -87,12 +87,12 @@ class Atlas:
         memory: uint8.
     """
 
-    def __init__(self, sizes: Sizes, copies: tuple[tuple[int, int], ...] = ()) -> None:
+    def __init__(self, sizes: Sizes, copies: tuple[tuple[int, float], ...] = ()) -> None:
         self.sizes = sizes
         self.copies = copies
         self.layout = np.zeros((len(sizes) + len(copies), fused.LAYOUT_COLUMNS), dtype=np.int64)
         planes = [np.array([width, height, _half(width), _half(height)]) for width, height in sizes]
-        planes += [-(-planes[j] // n) for j, n in copies]
+        planes += [np.array([reduced_size(side, n) for side in planes[j]]) for j, n in copies]
         offset = 0
         for row, sides in zip(self.layout, planes, strict=True):
             row[fused.SIZES : fused.SIZES + 4] = sides
@@ -104,9 +104,10 @@ class Atlas:
                 offset += int(plane_width + 2) * int(plane_height + 2)
         self.memory = np.zeros(offset, dtype=np.uint8)
         self._bgr = np.empty(0, dtype=np.uint8)
-        self._sums = np.empty(max((sizes[j][0] + n for j, n in copies), default=0), dtype=np.uint32)
+        widest = max((width for width, _ in sizes), default=0)
+        self._sums = np.empty((2, widest + int(MAX_REDUCTION) + 2), dtype=np.uint32)
 
-    def layout_of(self, reductions: Sequence[int]) -> npt.NDArray[np.int64]:
+    def layout_of(self, reductions: Sequence[float]) -> npt.NDArray[np.int64]:
         """The layout (pictures, LAYOUT_COLUMNS) of the copies that one virtual camera samples; 1 is the picture."""
         rows = [j if n == 1 else len(self.sizes) + self.copies.index((j, n)) for j, n in enumerate(reductions)]
         layout: npt.NDArray[np.int64] = self.layout[rows]
@@ -129,7 +130,7 @@ class Atlas:
                 sides = self.layout[index, fused.SIZES : fused.SIZES + 4]
                 for plane, (whole, copy) in enumerate(zip(self.planes(index), self.planes(row), strict=True)):
                     width, height = sides[2 * (plane > 0) :][:2]
-                    fused.reduce_plane(whole, height, width, n, self._sums, copy)
+                    fused.reduce_plane(whole, height, width, round(STEPS * n), *self._sums, copy)
 
     def _decode(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
         data, planes = read_file(path), self.planes(index)
@@ -209,14 +210,14 @@ class Canvas:
         return planes[0], planes[1], planes[2]
 
     def draw(
-        self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool, reductions: Sequence[int] = ()
+        self, atlas: Atlas, sources: Sequence[Source], *, nearest: bool, reductions: Sequence[float] = ()
     ) -> None:
         """Draws the picture and its mask.
 
         Args:
             reductions: which copy of each source is sampled; the full pictures where empty.
         """
-        reductions = reductions or (1,) * len(sources)
+        reductions = reductions or (1.0,) * len(sources)
         if self._sources != len(sources):
             self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
         self.covered_px = fused.draw_view(
@@ -237,7 +238,7 @@ class Canvas:
         )
 
 
-def source_models(view: VirtualView, sources: Sequence[Source], reductions: Sequence[int]) -> Float:
+def source_models(view: VirtualView, sources: Sequence[Source], reductions: Sequence[float]) -> Float:
     """What the kernel knows of each source and the copy that is sampled: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
     models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
     points = np.array([source.cam_from_ego for source in sources]).reshape(-1, 4, 4) @ view.camera.ego_from_cam

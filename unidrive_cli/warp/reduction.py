@@ -1,9 +1,13 @@
 """Anti-aliasing: how many times a virtual camera shrinks a source, and which reduced copy it samples therefore.
 
 Where a source pixel is much smaller than a virtual one, a bilinear sample sees four of the many that fall into it,
-and fine structure turns into noise that flickers. Such a source is sampled from a copy that is smaller by a whole
-number n, each of its pixels the mean of n x n. A copy is one more picture whose pixels are
+and fine structure turns into noise that flickers. Such a source is sampled from a copy that is n times smaller,
+each of its pixels the mean of n x n. A copy is one more picture whose pixels are
 ((u + 0.5) / n - 0.5, (v + 0.5) / n - 0.5); what is seen and with what share stays that of the full picture.
+
+The bilinear sample of a copy is a mean itself, with the spread (variance) n^2 / 4 along each axis of the picture; a
+virtual pixel that is s source pixels wide has s^2 / 12. They are equal for n = s / sqrt(3): a copy as small as s
+would be blurred, and is farther from the truth than no copy (docs/fidelity.md).
 
 One n per virtual camera and source, from the calibration alone: it does not change while the car moves.
 """
@@ -20,10 +24,11 @@ from unidrive_cli.geometry.poses import transform
 from unidrive_cli.warp.pictures import Picture
 from unidrive_cli.warp.remap import Source, VirtualView
 
-MAX_REDUCTION = 64
-"""Largest n; the means of larger blocks would not be exact in the kernel's arithmetic."""
+STEPS = 4
+"""n is a whole number of quarters: copies for several virtual cameras are often the same one."""
+MAX_REDUCTION = 64.0
+"""Largest n: the sums of larger squares do not fit the kernel's numbers."""
 
-_ROUNDING = 1e-6
 _NODES = (32, 24)
 _STEPS_PX = np.array([[-0.5, 0], [0.5, 0], [0, -0.5], [0, 0.5]])
 
@@ -39,12 +44,12 @@ class Reductions:
         self._anti_alias = anti_alias
         self._nodes = [_node_points(view) for view in views] if anti_alias else []
         self._views = len(views)
-        self._known: tuple[object, list[tuple[int, ...]]] | None = None
+        self._known: tuple[object, list[tuple[float, ...]]] | None = None
 
-    def of(self, sources: Sequence[Source]) -> list[tuple[int, ...]]:
+    def of(self, sources: Sequence[Source]) -> list[tuple[float, ...]]:
         """For each virtual camera the n of each source; 1 is the full picture."""
         if not self._anti_alias:
-            return [(1,) * len(sources)] * self._views
+            return [(1.0,) * len(sources)] * self._views
         key = tuple((source.lens, source.calibrated.tobytes()) for source in sources)
         known = self._known
         if known is not None and known[0] == key:
@@ -59,9 +64,9 @@ class Copies:
 
     def __init__(self, pictures: Sequence[Picture]) -> None:
         self._pictures = pictures
-        self._reduced: dict[tuple[int, int], Picture] = {}
+        self._reduced: dict[tuple[int, float], Picture] = {}
 
-    def of(self, source: int, n: int) -> Picture:
+    def of(self, source: int, n: float) -> Picture:
         """The picture (H, W, 3) of a source, or its copy (H / n, W / n, 3), rounded up."""
         if n == 1:
             return self._pictures[source]
@@ -79,19 +84,24 @@ def shrinkage(view: VirtualView, source: Source) -> float:
     return _shrinkage(_node_points(view), source)
 
 
-def reduction_of(shrinkage: float) -> int:
-    """The n whose copy is shrunk (or enlarged) least: 1 up to a shrinkage of 1.5, 2 up to 2.5, and so on."""
-    return int(np.clip(np.ceil(shrinkage - 0.5 - _ROUNDING), 1, MAX_REDUCTION))
+def reduction_of(shrinkage: float) -> float:
+    """The n of the copy whose bilinear samples spread as far as virtual pixels; 1, the picture, up to 1.95."""
+    n = np.floor(shrinkage / np.sqrt(3) * STEPS + 0.5) / STEPS
+    return float(np.clip(n, 1, MAX_REDUCTION))
 
 
-def reduced_picture(picture: Picture, n: int) -> Picture:
+def reduced_size(size_px: int, n: float) -> int:
+    """Pixels of a copy along a side of that many: the last may reach beyond it."""
+    return int(np.ceil(size_px / n))
+
+
+def reduced_picture(picture: Picture, n: float) -> Picture:
     """The copy (H / n, W / n, 3), rounded up, of a picture (H, W, 3); its last row and column go on beyond it."""
-    height, width = picture.shape[:2]
-    more = -height % n, -width % n
-    if any(more):
-        picture = np.asarray(cv2.copyMakeBorder(picture, 0, more[0], 0, more[1], cv2.BORDER_REPLICATE), np.uint8)
-    size = picture.shape[1] // n, picture.shape[0] // n
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    sides = [reduced_size(side, n) for side in picture.shape[:2]]
+    more = [int(np.ceil(copy * n)) - side for copy, side in zip(sides, picture.shape[:2], strict=True)]
+    grown = cv2.copyMakeBorder(picture, 0, more[0], 0, more[1], cv2.BORDER_REPLICATE)
+    reduced = cv2.resize(grown, None, fx=1 / n, fy=1 / n, interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(reduced[: sides[0], : sides[1]], dtype=np.uint8)
 
 
 def _node_points(view: VirtualView) -> Float:
