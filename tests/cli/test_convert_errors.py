@@ -941,7 +941,7 @@ def test_the_t4_test_set_converts(shared_data: Path, bench: Bench) -> None:
     assert tree(source) == before
     assert "3 samples, 6 pictures" in run.stdout
     assert "covered: CAM_FRONT 0%, CAM_BACK 0%" in run.stdout
-    assert_consistent(bench.dst, "annotation")
+    assert_consistent(bench.dst, "v1.0-trainval")
 
 
 # --- interrupted ------------------------------------------------------------------------------------------------

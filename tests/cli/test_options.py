@@ -71,6 +71,8 @@ def test_every_option_has_its_variable(bench: Bench) -> None:
         "UNIDRIVE_VISIBILITY": "keep",
         "UNIDRIVE_UNSEEN_BOXES": "drop",
         "UNIDRIVE_VERSION": VERSION,
+        "UNIDRIVE_LAYOUT": "nuscenes",
+        "UNIDRIVE_OUTPUT_VERSION": VERSION,
     }
     bench.converted(env=env)
     assert options_of(bench.dst) == {
@@ -88,6 +90,8 @@ def test_every_option_has_its_variable(bench: Bench) -> None:
         "visibility": "keep",
         "unseen_boxes": "drop",
         "link": "hardlink",
+        "keep_layout": False,
+        "output_version": VERSION,
     }
     assert json.loads((bench.dst / "unidrive.json").read_text())["rig"]["name"] == "small"
 

@@ -71,7 +71,7 @@ def test_every_field_that_is_asked_for(bench: Bench, scanned: bool, monkeypatch:
         strip(bench, table, *fields, index=0)
     if scanned:
         monkeypatch.setattr(dataset_module, "LARGE_BYTES", 0)
-    run = bench.convert()
+    run = bench.convert("--visibility", "keep")
     assert run.code == 0, run.stderr
     for table, fields in FILLED.items():
         source, found = rows(bench.src, table), rows(bench.dst, table)

@@ -188,9 +188,10 @@ def warp_choices(
 
 
 def say_layout(layout: Layout, folder: Path, forced: str | None) -> None:
-    """Says on stderr in which layout a version folder is read."""
-    how = "as told" if forced else "found out; --layout names another"
-    typer.echo(f"layout: {layout.title} ({folder}), {how}", err=True)
+    """Says on stderr in which layout a version folder is read, where that is not simply nuScenes'."""
+    if forced or layout.name != "nuscenes":
+        how = "as told" if forced else "found out; --layout names another"
+        typer.echo(f"layout: {layout.title} ({folder}), {how}", err=True)
 
 
 def jobs_of(jobs: int | None) -> int:

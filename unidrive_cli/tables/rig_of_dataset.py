@@ -214,11 +214,14 @@ def dataset_meant(text: str, version: str | None = None, layout: str | None = No
 
     Raises:
         DatasetError, UsageError: it cannot be read.
-        OSError, ValueError: no path can be called that.
     """
-    if (not _looks_like_path(text) and text in gallery_names()) or not Path(text).is_dir():
+    if not _looks_like_path(text) and text in gallery_names():
         return None
-    return open_named(Path(text), version, layout=layout)
+    try:
+        is_folder = Path(text).is_dir()
+    except OSError:  # no path can be called that
+        return None
+    return open_named(Path(text), version, layout=layout) if is_folder else None
 
 
 def _looks_like_path(text: str) -> bool:
