@@ -50,11 +50,11 @@ def series(plan: Plan, frames: list[Frame], *, safe: bool) -> tuple[float, float
         wall, cpu = time.perf_counter(), time.process_time()
         for frame in frames:
             if safe:
-                read_receipt(destination, frame.sample_token, frame.pictures, plan.options.masks)
+                read_receipt(destination, frame.token, frame.pictures, plan.options.masks)
             run_unit(job, frame)
         if safe:
             for frame in frames:
-                assert read_receipt(destination, frame.sample_token, frame.pictures, plan.options.masks)
+                assert read_receipt(destination, frame.token, frame.pictures, plan.options.masks)
             to_disk(destination.root)
         return time.process_time() - cpu, time.perf_counter() - wall
 
@@ -74,7 +74,7 @@ def main() -> None:
     frames = [
         replace(
             frame,
-            sample_token=str(number),
+            token=str(number),
             pictures=tuple(name.replace(".jpg", f"-{number}.jpg") for name in frame.pictures),
         )
         for number in range(chosen.samples)

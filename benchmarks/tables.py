@@ -43,7 +43,7 @@ def receipts_of(plan: Any) -> dict[str, Any]:
         count = len(plan.dataset.annotation_indices(unit.sample.token))
         shown = [0.5 if index % 3 == 0 else 1.0 for index in range(count)]
         boxes = [Box2d(index % cameras, index, 100.0, 200.125, 300.5, 400.75) for index in range(count)]
-        token = unit.sample.token
+        token = unit.token
         receipts[token] = Receipt(token, [1.0] * cameras, [200_000] * cameras, shown, 0, boxes)
     return receipts
 

@@ -44,7 +44,7 @@ def at_another_moment(frame: Frame, number: int) -> Frame:
         cam_from_ego[0, 3] += 1e-4 * number
         sources.append(replace(source, cam_from_ego=cam_from_ego))
     pictures = tuple(name.replace(".jpg", f"-{number}.jpg") for name in frame.pictures)
-    return replace(frame, sample_token=str(number), pictures=pictures, sources=tuple(sources))
+    return replace(frame, token=str(number), pictures=pictures, sources=tuple(sources))
 
 
 def main() -> None:

@@ -457,10 +457,12 @@ def write_painted(
     supersample: int = 2,
     picture_suffix: str = ".jpg",
     lidar_sweeps: int = 1,
+    camera_sweeps: int = 0,
 ) -> None:
-    """Writes the dataset: 13 tables, pictures, lidar keyframes, `lidar_sweeps` sweeps in each gap between
-    them, a map mask. The same arguments give the same bytes. Every sensor has its own ego pose at its own
-    time; annotations (boxes within 50 m of the ego car) are at the sample's time, which is the lidar's."""
+    """Writes the dataset: 13 tables, pictures, lidar keyframes, `lidar_sweeps` and `camera_sweeps` sweeps of each
+    sensor in each gap between them, a map mask. The same arguments give the same bytes. Every sensor
+    has its own ego pose at its own time; annotations (boxes within 50 m of the ego car) are at the sample's time,
+    which is the lidar's."""
     if not 1 <= scenes <= len(SCENE_NAMES) or samples_per_scene < 1 or picture_suffix not in (".jpg", ".png"):
         raise ValueError(f"1 to {len(SCENE_NAMES)} scenes, 1 sample or more each, .jpg or .png pictures")
     cameras = nuscenes_like_cameras() if cameras is None else cameras
@@ -471,7 +473,7 @@ def write_painted(
         """A sample_data row with its ego pose; writes the cloud, or puts the picture down to be painted."""
         token, pose = _token("sample_data", scene.index, channel, time_us), scene.global_from_ego(time_us)
         tables.add("ego_pose", token, time_us, _quaternion(pose), pose[:3, 3].tolist())
-        key = camera is not None or time_us == sample["timestamp"]
+        key = time_us == sample["timestamp"] + (camera.fires_us if camera else 0)
         suffix, form = (picture_suffix, picture_suffix[1:]) if camera else (".pcd.bin", "pcd")
         name = f"{'samples' if key else 'sweeps'}/{channel}/{LOGFILE}__{channel}__{time_us}{suffix}"
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -492,7 +494,12 @@ def write_painted(
         tables.add("scene", token, _token("log"), len(samples), *first_last, SCENE_NAMES[index], text)
         _link(samples)
         for camera in cameras:
-            _link([record(camera.channel, s["timestamp"] + camera.fires_us, s, camera) for s in samples])
+            shots = []
+            for i, sample in enumerate(samples):
+                for k in range(camera_sweeps if i else 0, -1, -1):
+                    time_us = times[i] + camera.fires_us - k * SAMPLE_US // (camera_sweeps + 1)
+                    shots.append(record(camera.channel, time_us, sample, camera))
+            _link(shots)
         lidar = []
         for i, sample in enumerate(samples):  # a sweep belongs to the sample that follows it
             for k in range(lidar_sweeps if i else 0, -1, -1):

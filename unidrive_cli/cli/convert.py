@@ -60,6 +60,11 @@ if TYPE_CHECKING:
 
 
 QUALITY = option(95, "--quality", help="JPEG quality, 1 to 100.")
+SWEEPS = option(
+    False,
+    "--sweeps/--no-sweeps",
+    help="Render the pictures between the key frames too, those taken together as one.",
+)
 MASKS = option("frame", "--masks", help="Coverage masks: one per picture, one per camera, or none.")
 VISIBILITY = option("lower", "--visibility", help="Lower a box's visibility where the virtual rig shows less of it.")
 UNSEEN_BOXES = option("keep", "--unseen-boxes", help="Boxes that no virtual pixel shows.")
@@ -105,6 +110,7 @@ def convert_command(
     common_with: list[str] = COMMON_WITH,
     common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
+    sweeps: bool = SWEEPS,
     masks: Masks = MASKS,
     visibility: VisibilityRule = VISIBILITY,
     unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
@@ -160,6 +166,7 @@ def convert_command(
         splits=tuple(sorted(set(split))),
         max_samples=max_samples,
         cameras=tuple(sorted(set(camera))),
+        sweeps=sweeps,
         masks=masks,
         visibility=visibility,
         unseen_boxes=unseen_boxes,
@@ -182,15 +189,15 @@ def convert_command(
     if plan.options.link == "hardlink" and not same_device(src, dst):
         typer.echo("note: DST is on another file system: files that do not change are copied, not linked", err=True)
     if share:
-        with Progress("samples", sys.stderr) as progress:
+        with Progress(f"{_unit_noun(plan)}s", sys.stderr) as progress:
             done = convert_part(plan, dst, share, progress=progress)
         if as_json:
             typer.echo(json.dumps(asdict(done)))
         else:
-            _say_part(done, dst)
+            _say_part(done, dst, _unit_noun(plan))
         leave_out(done.failures)
         return
-    with Progress("samples", sys.stderr) as progress:
+    with Progress(f"{_unit_noun(plan)}s", sys.stderr) as progress:
         summary = convert(plan, dst, force=force, only_failed=only_failed, progress=progress)
     say_summary(summary, plan, dst, as_json)
 
@@ -246,21 +253,27 @@ def planned(
 def leave_out(failures: Sequence[Failure]) -> None:
     """Says which samples were left out; that is exit code 1."""
     for failure in failures:
-        typer.echo(f"left out: sample {failure.sample_token}: {failure.sentence}", err=True)
+        typer.echo(f"left out: {failure.unit}: {failure.sentence}", err=True)
     if failures:
         raise typer.Exit(1)
+
+
+def _unit_noun(plan: Plan) -> str:
+    """What the units of work are called."""
+    return "moment" if plan.sweeps else "sample"
 
 
 def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free: int, links: bool) -> None:
     estimate = plan.estimated_bytes()
     scenes = len({unit.scene.token for unit in plan.units})
-    sources = sum(len(unit.sources) for unit in plan.units)
+    sources = sum(len(unit.sources) for unit in plan.units) + sum(len(sweep.rows) for sweep in plan.sweeps)
     annotations = sum(len(plan.dataset.annotation_indices(unit.sample.token)) for unit in plan.units)
     sizes = sorted({f"{camera.lens.width_px}x{camera.lens.height_px}" for camera in plan.rig.cameras})
     copies = plan.options.link == "copy" or (plan.options.link == "hardlink" and not links)
     document: dict[str, Any] = {
         "samples": len(plan.units),
         "scenes": scenes,
+        "sweeps": len(plan.sweeps),
         "pictures": plan.picture_count,
         "source_pictures": sources,
         "annotations": annotations,
@@ -272,7 +285,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
         "notes": plan.notes,
     }
     if share:
-        units = share.of(plan.units)
+        units = share.of(plan.moments)
         document["part"] = {
             "part": str(share),
             "samples": len(units),
@@ -283,7 +296,7 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
         return
     typer.echo(
         f"{plan.dataset.folder} -> {dst} through {plan.rig.name}: {plural(len(plan.units), 'sample')} in "
-        f"{plural(scenes, 'scene')}"
+        f"{plural(scenes, 'scene')}{_and_sweeps(len(plan.sweeps))}"
     )
     typer.echo(f"reads  {plural(sources, 'source picture')}")
     typer.echo(
@@ -296,25 +309,29 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
     if estimate > free:
         typer.echo("that is more than is free: the conversion will refuse to start (--no-space-check)")
     if share:
-        units = share.of(plan.units)
+        units = share.of(plan.moments)
         scenes = len({unit.scene.token for unit in units})
-        typer.echo(f"part {share}: {plural(len(units), 'sample')} of {plural(scenes, 'scene')}")
+        typer.echo(f"part {share}: {plural(len(units), _unit_noun(plan))} of {plural(scenes, 'scene')}")
     for note in plan.notes:
         typer.echo(f"note: {note}")
     typer.echo("nothing was written (--dry-run)")
 
 
-def _say_part(done: PartSummary, dst: Path) -> None:
+def _say_part(done: PartSummary, dst: Path, noun: str) -> None:
     if done.already_complete:
         typer.echo(f"{dst} already holds this conversion, complete; nothing was changed.")
         return
     converted = done.samples - len(done.failures)
-    typer.echo(f"{dst}: part {done.part}: {converted:,} of {plural(done.samples, 'sample')} converted")
+    typer.echo(f"{dst}: part {done.part}: {converted:,} of {plural(done.samples, noun)} converted")
     if done.left:
-        typer.echo(f"{plural(done.left, 'sample')} of the whole not converted yet; when all are, finish with")
+        typer.echo(f"{plural(done.left, noun)} of the whole not converted yet; when all are, finish with")
     else:
-        typer.echo("all samples of the whole are converted; finish with")
+        typer.echo(f"all {noun}s of the whole are converted; finish with")
     typer.echo("unidrive finalise SRC DST and the same options")
+
+
+def _and_sweeps(count: int) -> str:
+    return f" and {plural(count, 'sweep')}" if count else ""
 
 
 def say_summary(summary: Summary, plan: Plan, dst: Path, as_json: bool) -> None:
@@ -331,9 +348,9 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
     if summary.already_complete:
         typer.echo(f"{dst} already holds this conversion, complete; it was verified again, and nothing was changed.")
         return
-    pictures = counts.samples * len(plan.rig.cameras)
+    pictures = (counts.samples + counts.sweeps) * len(plan.rig.cameras)
     typer.echo(
-        f"{dst}: {plural(counts.samples, 'sample')}, {plural(pictures, 'picture')} "
+        f"{dst}: {plural(counts.samples, 'sample')}{_and_sweeps(counts.sweeps)}, {plural(pictures, 'picture')} "
         f"({human_bytes(summary.picture_bytes)}), {plural(counts.annotations, 'annotation')}, "
         f"{counts.boxes_2d:,} 2D {'box' if counts.boxes_2d == 1 else 'boxes'}"
     )

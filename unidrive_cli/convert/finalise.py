@@ -17,13 +17,14 @@ from unidrive_cli import __version__
 from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
 from unidrive_cli.convert.plan import Plan, scene_names
+from unidrive_cli.convert.sweeps import SWEEP
 from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.verify import Verified, verify_staged
 from unidrive_cli.errors import DatasetError, OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
-from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
+from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name, mask_name
 from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
@@ -38,10 +39,15 @@ _KEPT = ("covered", "picture_bytes", "files_carried", "files_missing", "notes")
 
 @dataclass(frozen=True)
 class Failure:
-    """A unit that was left out, and why."""
+    """A unit that was left out, and why; a sweep is known by its own token in place of the sample's."""
 
     sample_token: str
     sentence: str
+
+    @property
+    def unit(self) -> str:
+        """The unit in words."""
+        return self.sample_token if self.sample_token.startswith(SWEEP) else f"sample {self.sample_token}"
 
 
 @dataclass
@@ -100,6 +106,7 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
         destination.write(PROVENANCE, _provenance(plan, summary))
+        _remove_left_out(plan, destination, tables)
     except OSError as error:
         raise OutputError(
             f"cannot be written: {error.strerror}.",
@@ -193,11 +200,15 @@ def _carry_files(
     carried = missing = 0
     example = ""
     maps = {row.filename for row in plan.dataset.map.rows}
-    pictures = {name for unit in plan.units for name in unit.pictures}
+    examples = (*plan.units[:1], *plan.sweeps[:1])
+    folders = {name.rpartition("/")[0] for moment in examples for name in moment.pictures}
+    pictures: set[str] = set()
     for filename in carried_files(plan.dataset, tables.kept_sample_data, extra_files):
         target = plan.names[filename]
-        if target in pictures:
-            continue  # an extra table names a picture in whose place a virtual one is
+        if target.rpartition("/")[0] in folders:
+            pictures = pictures or {name for unit in plan.moments for name in unit.pictures}
+            if target in pictures:
+                continue  # an extra table names a picture in whose place a virtual one is
         if carry(plan.dataset.root / filename, target, destination, plan.options.link):
             carried += 1
         elif filename not in maps:
@@ -233,6 +244,16 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
         destination.write(camera_mask_name(view.camera.channel), encode_mask(mask))
 
 
+def _remove_left_out(plan: Plan, destination: Destination, tables: OutputTables) -> None:
+    """Removes pictures and masks that no table names: sweeps go with their sample."""
+    kept = {moment.token for moment in tables.moments}
+    for moment in plan.moments:
+        if moment.token not in kept:
+            for name in moment.pictures:
+                (destination.root / name).unlink(missing_ok=True)
+                (destination.root / mask_name(name)).unlink(missing_ok=True)
+
+
 def _summary(
     plan: Plan,
     receipts: dict[str, Receipt],
@@ -242,7 +263,7 @@ def _summary(
     failures: list[Failure],
     notes: list[str],
 ) -> Summary:
-    kept = [receipts[unit.sample.token] for unit in plan.units if unit.sample.token in receipts]
+    kept = [receipts[unit.token] for unit in plan.moments if unit.token in receipts]
     means = np.mean([receipt.covered for receipt in kept], axis=0) if kept else np.zeros(len(plan.rig.cameras))
     covered = {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)}
     black = [channel for channel, share in covered.items() if share < LOW_COVERAGE]
@@ -263,9 +284,9 @@ def _list_failures(plan: Plan, destination: Destination, failures: list[Failure]
     """Writes `failures.txt`: sample token, scene and reason, a line each; none where nothing failed."""
     reasons = {failure.sample_token: failure.sentence for failure in failures}
     lines = [
-        f"{unit.sample.token}\t{unit.scene.name}\t{' '.join(reasons[unit.sample.token].split())}\n"
-        for unit in plan.units
-        if unit.sample.token in reasons
+        f"{unit.token}\t{unit.scene.name}\t{' '.join(reasons[unit.token].split())}\n"
+        for unit in plan.moments
+        if unit.token in reasons
     ]
     if lines:
         destination.write(FAILED, "".join(lines).encode(errors="backslashreplace"))

@@ -33,6 +33,7 @@ class Options(WarpChoices):
         scenes, splits, cameras: names; all where empty. A scene must have one of the names and be in one of
             the splits.
         max_samples: only so many samples, the first by scene and time; all where None.
+        sweeps: whether the pictures between the key frames are rendered too.
         masks: one coverage mask per picture, one per virtual camera, or none.
         visibility: `lower` it where the virtual rig shows less of a box, or `keep`.
         unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
@@ -53,6 +54,7 @@ class Options(WarpChoices):
     splits: tuple[str, ...] = ()
     max_samples: int | None = None
     cameras: tuple[str, ...] = ()
+    sweeps: bool = False
     masks: Masks = "frame"
     visibility: VisibilityRule = "lower"
     unseen_boxes: UnseenBoxes = "keep"

@@ -13,13 +13,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from unidrive_cli.convert.plan import Plan, Unit
+from unidrive_cli.convert.plan import Moment, Plan, Unit, moments_by_scene
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
-from unidrive_cli.tables.schema import Quaternion, Row, SampleAnnotation, Timestamp, Vector3
+from unidrive_cli.tables.schema import EgoPose, Quaternion, Row, SampleAnnotation, Timestamp, Vector3
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
 from unidrive_cli.tables.table import (
     EMPTY,
@@ -104,6 +104,7 @@ class Counts:
     """
 
     samples: int = 0
+    sweeps: int = 0
     annotations: int = 0
     visibility_lowered: int = 0
     boxes_unseen: int = 0
@@ -122,19 +123,21 @@ class OutputTables:
     def __init__(self, plan: Plan, receipts: dict[str, Receipt]) -> None:
         """
         Args:
-            receipts: by sample token; samples without one leave the dataset.
+            receipts: by token of their units; samples without one leave the dataset, and sweeps with them.
         """
         self._plan = plan
         self._dataset = plan.dataset
         self._receipts = receipts
         self._units = [unit for unit in plan.units if unit.sample.token in receipts]
+        samples = {unit.sample.token for unit in self._units}
+        self._sweeps = [sweep for sweep in plan.sweeps if sweep.token in receipts and sweep.sample.token in samples]
         self._levels = VisibilityLevels(plan.dataset.visibility.rows)
-        self._pictures = [
-            [self._token("sample_data", unit.sample.token, channel) for channel in plan.rig.channels]
-            for unit in self._units
-        ]
-        """sample_data tokens of each unit's virtual pictures, in the rig's order; their poses have the same."""
-        self.counts = Counts(samples=len(self._units))
+        self.counts = Counts(samples=len(self._units), sweeps=len(self._sweeps))
+
+    @property
+    def moments(self) -> Iterator[Moment]:
+        """The units that are in the dataset."""
+        return itertools.chain(self._units, self._sweeps)
 
     @cached_property
     def kept_samples(self) -> Bool:
@@ -270,9 +273,17 @@ class OutputTables:
         stays[poses[self.kept_sample_data]] = True
         yield from table.runs(np.flatnonzero(stays), {})
         places = table.find([unit.reference.ego_pose_token for unit in self._units])
-        for unit, pictures, pose in zip(self._units, self._pictures, table.rows_at(places), strict=True):
+        references = np.array([sweep.reference for sweep in self._sweeps], dtype=np.int64)
+        moments: Iterator[tuple[Moment, EgoPose]] = itertools.chain(
+            zip(self._units, table.rows_at(places), strict=True),
+            zip(self._sweeps, dataset.ego_poses_at(references), strict=True),
+        )
+        for moment, pose in moments:
             yield run_of(
-                [_PoseRow(token, unit.reference.timestamp, pose.rotation, pose.translation) for token in pictures]
+                [
+                    _PoseRow(token, moment.timestamp, pose.rotation, pose.translation)
+                    for token in self._picture_tokens(moment)
+                ]
             )
 
     def _sample_data(self) -> RawRows:
@@ -280,31 +291,29 @@ class OutputTables:
         for index, name in self._plan.names.moved(self.kept_sample_data).items():
             changes.setdefault(index, {})["filename"] = name
         yield from table.runs(np.flatnonzero(self.kept_sample_data), changes)
-        by_scene: dict[str, list[tuple[Unit, list[str]]]] = {}
-        for unit, pictures in zip(self._units, self._pictures, strict=True):
-            by_scene.setdefault(unit.scene.token, []).append((unit, pictures))
+        by_scene = moments_by_scene(self._units, self._sweeps)
         for index, camera in enumerate(self._plan.rig.cameras):
             calibration, lens = self._token("calibrated_sensor", "", camera.channel), camera.lens
-            for units in by_scene.values():
-                tokens = ["", *(pictures[index] for _, pictures in units), ""]
+            for moments in by_scene:
+                tokens = ["", *(self._picture_token(moment, camera.channel) for moment in moments), ""]
                 yield run_of(
                     [
                         _PictureRow(
                             token,
-                            unit.sample.token,
+                            moment.sample.token,
                             token,
                             calibration,
-                            unit.reference.timestamp,
+                            moment.timestamp,
                             "jpg",
-                            True,
+                            isinstance(moment, Unit),
                             lens.height_px,
                             lens.width_px,
-                            unit.pictures[index],
+                            moment.pictures[index],
                             before,
                             after,
                         )
-                        for (unit, _), before, token, after in zip(
-                            units, tokens, tokens[1:], tokens[2:], strict=False
+                        for moment, before, token, after in zip(
+                            moments, tokens, tokens[1:], tokens[2:], strict=False
                         )
                     ]
                 )
@@ -319,16 +328,15 @@ class OutputTables:
             indices = [dataset.annotation_indices(unit.sample.token) for unit in units]
             annotations = dataset.sample_annotation.parts_at(np.concatenate(indices), _Annotation)
             rows: list[_BoxRow] = []
-            for unit, pictures, own in zip(units, self._pictures[start:], indices, strict=False):
+            for unit, own in zip(units, indices, strict=True):
                 boxed = list(itertools.islice(annotations, len(own)))
-                self._add_boxes(rows, unit, pictures, own, boxed, instances)
+                self._add_boxes(rows, unit, own, boxed, instances)
             yield run_of(rows)
 
     def _add_boxes(
         self,
         rows: list[_BoxRow],
         unit: Unit,
-        pictures: list[str],
         indices: Indices,
         annotations: Sequence[_Annotation | SampleAnnotation],
         instances: dict[str, str],
@@ -336,12 +344,11 @@ class OutputTables:
         """Adds those of one unit to the rows.
 
         Args:
-            pictures: tokens of its virtual pictures.
             indices, annotations: (n,) its annotations.
             instances: category names by instance token.
         """
         stays, changes = self.kept_annotations[indices].tolist(), self._changed_annotations
-        names, places = unit.pictures, indices.tolist()
+        names, pictures, places = unit.pictures, self._picture_tokens(unit), indices.tolist()
         for camera, place, left, top, right, bottom in map(_NUMBERS, self._receipts[unit.sample.token].boxes):
             if not stays[place]:
                 continue
@@ -387,6 +394,13 @@ class OutputTables:
         mask = np.zeros(len(table.rows), dtype=bool)
         mask[table.find(tokens)] = True
         return mask
+
+    def _picture_tokens(self, moment: Moment) -> list[str]:
+        """sample_data tokens of a unit's virtual pictures, in the rig's order; their poses have the same."""
+        return [self._picture_token(moment, channel) for channel in self._plan.rig.channels]
+
+    def _picture_token(self, moment: Moment, channel: str) -> str:
+        return self._token("sample_data", moment.token, channel)
 
     def _token(self, table: str, source_token: str, channel: str) -> str:
         return derived_token(table, source_token, self._plan.rig.digest, channel)

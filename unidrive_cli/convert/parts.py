@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from unidrive_cli.convert.plan import Unit
+from unidrive_cli.convert.plan import Moment
 from unidrive_cli.errors import UsageError
 
 
@@ -30,7 +30,7 @@ class Part:
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
 
-    def of(self, units: Sequence[Unit]) -> list[Unit]:
+    def of(self, units: Sequence[Moment]) -> list[Moment]:
         """This part's share; the shares of all parts are all units, each once.
 
         Whole scenes where there are enough of them, so that a part reads neighbouring files; runs of

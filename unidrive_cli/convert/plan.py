@@ -6,7 +6,7 @@ import itertools
 import re
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +22,7 @@ from unidrive_cli.convert.common import Common, with_own_rig
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.output_names import OutputNames
+from unidrive_cli.convert.sweeps import CHANNEL, SWEEP, KeyFrames, Sweep, group_sweeps
 from unidrive_cli.convert.units import SKIP_HINT, Frame
 from unidrive_cli.errors import DatasetError, PictureError, RigError, UsageError
 from unidrive_cli.geometry.arrays import Float
@@ -33,8 +34,9 @@ from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.layouts.known import LAYOUTS
 from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
 from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
-from unidrive_cli.tables.schema import Sample, SampleData, Scene
+from unidrive_cli.tables.schema import Sample, SampleData, Scene, Timestamp
 from unidrive_cli.tables.splits import scenes_of
+from unidrive_cli.tables.table import Indices
 from unidrive_cli.warp.common import CommonMasks, common_masks
 from unidrive_cli.warp.pictures import check_size, jpeg_bytes, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
@@ -76,6 +78,20 @@ class Unit:
     sources: tuple[SampleData, ...]
     pictures: tuple[str, ...]
 
+    @property
+    def token(self) -> str:
+        """What receipts and failures are known by: the sample's."""
+        return self.sample.token
+
+    @property
+    def timestamp(self) -> Timestamp:
+        """Of the virtual pictures."""
+        return self.reference.timestamp
+
+
+Moment = Unit | Sweep
+"""A unit of work: a sample, or pictures that were taken together between two."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -88,6 +104,7 @@ class Plan:
         names: what files that go along are called in the output.
         common: the rigs that must fill what is shown; None where none are named.
         notes: what a user should know, one sentence each.
+        sweeps: by scene and time; empty without the option.
     """
 
     dataset: Dataset
@@ -98,6 +115,12 @@ class Plan:
     notes: list[str]
     names: OutputNames
     common: Common | None = None
+    sweeps: Sequence[Sweep] = ()
+
+    @cached_property
+    def moments(self) -> list[Moment]:
+        """All units of work, by scene and time."""
+        return [moment for scene in moments_by_scene(self.units, self.sweeps) for moment in scene]
 
     @cached_property
     def common_masks(self) -> CommonMasks | None:
@@ -137,12 +160,14 @@ class Plan:
         """SHA-256 (hex) of `identity`."""
         return digest_of(self.identity)
 
-    def frame(self, unit: Unit) -> Frame:
+    def frame(self, unit: Moment) -> Frame:
         """The unit as its worker needs it: files, cameras and boxes, no tables.
 
         Raises:
             DatasetError: numbers that are no camera or no pose.
         """
+        if isinstance(unit, Sweep):
+            return self._sweep_frame(unit)
         global_from_ego = self.dataset.global_from_ego(unit.reference)
         witnesses = {row.token: self._source(row, global_from_ego) for row in unit.cameras}
         return Frame(
@@ -154,10 +179,32 @@ class Plan:
             *self._boxes(unit, global_from_ego),
         )
 
-    def _source(self, row: SampleData, global_from_ego: Float) -> Source:
+    def _sweep_frame(self, sweep: Sweep) -> Frame:
+        rows = np.array([sweep.reference, *sweep.rows])
+        global_from_ego, *own_poses = self.dataset.global_from_ego_at(rows)
+        pictures = list(self.dataset.sample_data.rows_at(rows[1:]))
+        return Frame(
+            sweep.token,
+            sweep.pictures,
+            tuple(str(self.dataset.path_of(row)) for row in pictures),
+            tuple(self._source(row, global_from_ego, own) for row, own in zip(pictures, own_poses, strict=True)),
+            (),
+            np.zeros((0, 4, 4)),
+            np.zeros((0, 3)),
+        )
+
+    def _source(self, row: SampleData, global_from_ego: Float, global_from_own_ego: Float | None = None) -> Source:
+        """A source picture's camera.
+
+        Args:
+            global_from_ego: (4, 4) pose of the car at the moment of the virtual pictures.
+            global_from_own_ego: at the picture's own moment, where it is known already.
+        """
         size = picture_size_of(self.dataset, row, size_of_file)
         motion = self.options.ego_motion
-        return Source(*lens_and_cam_from_ego(self.dataset, row, size, global_from_ego, ego_motion=motion))
+        return Source(
+            *lens_and_cam_from_ego(self.dataset, row, size, global_from_ego, global_from_own_ego, ego_motion=motion)
+        )
 
     def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
         rows = self.dataset.annotations(unit.sample.token)
@@ -168,20 +215,20 @@ class Plan:
     @property
     def picture_count(self) -> int:
         """Virtual pictures that will be written."""
-        return len(self.units) * len(self.rig.cameras)
+        return (len(self.units) + len(self.sweeps)) * len(self.rig.cameras)
 
-    def estimated_bytes(self, samples: int | None = None) -> int:
+    def estimated_bytes(self, moments: int | None = None) -> int:
         """Disk that pictures, masks and tables will take, roughly; files that go along not counted.
 
         Args:
-            samples: how many of them are still to be converted; all where None.
+            moments: how many of them are still to be converted; all where None.
         """
-        samples = len(self.units) if samples is None else samples
-        pictures = samples * len(self.rig.cameras)
+        moments = len(self.units) + len(self.sweeps) if moments is None else moments
+        pictures = moments * len(self.rig.cameras)
         pixels = sum(camera.lens.width_px * camera.lens.height_px for camera in self.rig.cameras)
         masks = _MASK_BYTES * pictures if self.options.masks == "frame" else 0
         tables = self.dataset.sample_annotation.size_bytes + _ROW_BYTES * self.picture_count
-        return jpeg_bytes(pixels, self.options.quality) * samples + masks + tables
+        return jpeg_bytes(pixels, self.options.quality) * moments + masks + tables
 
 
 def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | None = None) -> Plan:
@@ -206,7 +253,8 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         _check_filenames(dataset, output_version(dataset, options))
         decoding.result()
     channels = set(dataset.camera_channels(options.cameras))
-    units = list(itertools.islice(_units(dataset, rig, options, channels), options.max_samples))
+    taken: Counter[str] = Counter()
+    units = list(itertools.islice(_units(dataset, rig, options, channels, taken), options.max_samples))
     if not units:
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
     if not any(unit.sources for unit in units):
@@ -216,8 +264,12 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
     if common:
         common, more = with_own_rig(common, dataset, options, scene_names(units))
         notes.extend(more)
+    sweeps: list[Sweep] = []
+    if options.sweeps:
+        sweeps, more = _sweeps(dataset, rig, options, units, sorted(channels), taken)
+        notes.extend(more)
     names = OutputNames(dataset, output_version(dataset, options), keep_layout=options.keep_layout)
-    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common)
+    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common, sweeps)
     _check_cameras(plan)
     if plan.common_masks:
         shares = zip(rig.channels, plan.common_masks.shares, strict=True)
@@ -323,22 +375,27 @@ def _check_filenames(dataset: Dataset, version: str) -> None:
     check_carried_folders(dataset)
 
 
-def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> Iterator[Unit]:
-    logfiles = {row.token: row.logfile for row in dataset.log.rows}
-    names: Counter[str] = Counter()
+def moments_by_scene(units: Sequence[Unit], sweeps: Sequence[Sweep]) -> list[list[Moment]]:
+    """Units of work of each scene, in the order of time."""
+    by_scene: dict[str, list[Moment]] = {}
+    for unit in units:
+        by_scene.setdefault(unit.scene.token, []).append(unit)
+    for scene, own in itertools.groupby(sweeps, key=lambda sweep: sweep.scene.token):
+        by_scene[scene] = sorted([*by_scene.get(scene, []), *own], key=lambda moment: moment.timestamp)
+    return list(by_scene.values())
+
+
+def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str], taken: Counter[str]) -> Iterator[Unit]:
+    stems = _stems(dataset)
     number = 0
     for scene in scenes_of(dataset, options.scenes, options.splits):
-        stem = _file_stem(logfiles.get(scene.log_token, "") or scene.name)
+        stem = stems[scene.token]
         for sample in dataset.samples_of_scene[scene.token]:
             reference = reference_of(dataset, sample)
             if not abs(reference.timestamp) < MAX_TIMESTAMP:
                 place = dataset.sample_data.place(reference, "timestamp")
                 raise DatasetError(f"{reference.timestamp:g} is no time in microseconds.", where=place)
-            timestamp = str(round(reference.timestamp))
-            name = (stem + timestamp).lower()  # on some disks names that differ by case are one
-            names[name] += 1
-            if names[name] > 1:
-                timestamp += f"-{names[name]}"
+            timestamp = _moment_name(taken, stem, reference.timestamp)
             cameras = cameras_of(dataset, sample, reference)
             yield Unit(
                 scene,
@@ -356,27 +413,112 @@ def _units(dataset: Dataset, rig: Rig, options: Options, channels: set[str]) -> 
             number += 1
 
 
+def _stems(dataset: Dataset) -> dict[str, str]:
+    """How the names of a scene's pictures begin, by the scene's token."""
+    logfiles = {row.token: row.logfile for row in dataset.log.rows}
+    return {row.token: _file_stem(logfiles.get(row.log_token, "") or row.name) for row in dataset.scene.rows}
+
+
+def _moment_name(taken: Counter[str], stem: str, timestamp: Timestamp) -> str:
+    """A timestamp as part of file names, made unique among those that begin with the stem."""
+    name = str(round(timestamp))
+    key = (stem + name).lower()  # on some disks names that differ by case are one
+    taken[key] += 1
+    return name if taken[key] == 1 else f"{name}-{taken[key]}"
+
+
+def _sweeps(
+    dataset: Dataset,
+    rig: Rig,
+    options: Options,
+    units: Sequence[Unit],
+    channels: Sequence[str],
+    taken: Counter[str],
+) -> tuple[list[Sweep], list[str]]:
+    """The sweeps of the units' scenes, and notes."""
+    scenes = [list(own) for _, own in itertools.groupby(units, key=lambda unit: unit.scene.token)]
+    groups, left = group_sweeps(dataset, channels, [_key_frames(dataset, own) for own in scenes])
+    notes = [f"Camera sweeps that do not fit in with others in time, and are left out: {left:,}."] if left else []
+    incomplete = np.count_nonzero((groups.cameras < 0).any(axis=1))
+    if incomplete:
+        notes.append(
+            f"{incomplete:,} of {len(groups.leads):,} sweeps lack some of the cameras {', '.join(channels)}; what "
+            "nothing else shows stays black."
+        )
+    if not len(groups.leads):
+        notes.append("The source has no camera sweeps: there is nothing to render between its key frames.")
+    tokens = dict(_decoded(dataset, groups.leads, "token"))
+    times = dict(_decoded(dataset, groups.references, "timestamp"))
+    stems = _stems(dataset)
+    sweeps = []
+    for number, (place, lead, reference, rows) in enumerate(
+        zip(*(part.tolist() for part in groups), strict=True), start=len(units)
+    ):
+        unit, timestamp = units[place], times[reference]
+        stem = stems[unit.scene.token]
+        name = f"{CHANNEL}__{_moment_name(taken, stem, timestamp)}.jpg"
+        sources = tuple(row for row in rows if row >= 0)
+        sweeps.append(
+            Sweep(
+                SWEEP + tokens[lead],
+                unit.scene,
+                unit.sample,
+                timestamp,
+                reference,
+                sources,
+                dataset.layout.picture_name(CHANNEL, number)
+                if options.keep_layout
+                else f"sweeps/{CHANNEL}/{stem}__{name}",
+                rig.channels,
+            )
+        )
+    return sweeps, notes
+
+
+def _decoded(dataset: Dataset, rows: Indices, field: str) -> Iterator[tuple[int, Any]]:
+    """A field of some sample_data rows, by the row's index."""
+    rows = np.sort(rows)
+    for index, row in zip(rows.tolist(), dataset.sample_data.rows_at(rows), strict=True):
+        yield index, getattr(row, field)
+
+
+def _key_frames(dataset: Dataset, units: Sequence[Unit]) -> KeyFrames:
+    """The key frames of a scene; a camera's lag is the median of those that it has."""
+    lags: dict[str, list[float]] = {}
+    for unit in units:
+        for row in unit.sources:
+            lags.setdefault(dataset.sensor_of(row).channel, []).append(row.timestamp - unit.timestamp)
+    sensor = dataset.sensor_of(units[0].reference)
+    return KeyFrames(
+        [unit.sample for unit in units],
+        np.array([unit.timestamp for unit in units], dtype=np.float64),
+        sensor.channel if sensor.modality == "lidar" else "",
+        {channel: float(np.median(own)) for channel, own in lags.items()},
+    )
+
+
 def _check_cameras(plan: Plan) -> None:
     """Every calibration, every picture's presence, and one picture's size per calibration."""
     dataset, seen = plan.dataset, set()
     stop = plan.options.on_error == "stop"
-    for unit in plan.units:
-        for row in unit.sources:
-            place = dataset.sample_data.place(row, "filename")
+    swept = np.sort(np.fromiter((row for sweep in plan.sweeps for row in sweep.rows), dtype=np.int64))
+    key_frames = (row for unit in plan.units for row in unit.sources)
+    for row in itertools.chain(key_frames, dataset.sample_data.rows_at(swept)):
+        place = dataset.sample_data.place(row, "filename")
+        if stop:
+            _refuse_missing(dataset, row, place)
+        else:
+            dataset.files.locate(row.filename, place)
+        calibration = (row.calibrated_sensor_token, row.width, row.height)
+        if calibration in seen:
+            continue
+        seen.add(calibration)
+        if stop or (row.width and row.height):
+            size = picture_size_of(dataset, row, size_of_file)
+            lens_and_pose(dataset, row, size)
             if stop:
-                _refuse_missing(dataset, row, place)
-            else:
-                dataset.files.locate(row.filename, place)
-            calibration = (row.calibrated_sensor_token, row.width, row.height)
-            if calibration in seen:
-                continue
-            seen.add(calibration)
-            if stop or (row.width and row.height):
-                size = picture_size_of(dataset, row, size_of_file)
-                lens_and_pose(dataset, row, size)
-                if stop:
-                    path = dataset.path_of(row)
-                    check_size(read_head(path, SKIP_HINT), size, str(path))
+                path = dataset.path_of(row)
+                check_size(read_head(path, SKIP_HINT), size, str(path))
 
 
 def _refuse_missing(dataset: Dataset, row: SampleData, place: str) -> None:

@@ -16,7 +16,8 @@ from unidrive_cli.convert.finalise import Failure, Summary, finalise, read_summa
 from unidrive_cli.convert.links import check_names_apart
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.parts import Part
-from unidrive_cli.convert.plan import Plan, Unit
+from unidrive_cli.convert.plan import Moment, Plan
+from unidrive_cli.convert.sweeps import Sweep
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
 from unidrive_cli.convert.verify import verify
 from unidrive_cli.errors import CheckError, DatasetError, UnidriveError, UsageError
@@ -41,7 +42,7 @@ from unidrive_cli.workers import in_workers, start_server
 Progress = Callable[[int, int], None]
 """Called with (finished units, all units)."""
 Work = Callable[[Frame | Failure], Receipt | Failure]
-Executor = Callable[[Work, Sequence[Unit], Iterable[Frame | Failure]], Iterator[Receipt | Failure]]
+Executor = Callable[[Work, Sequence[Moment], Iterable[Frame | Failure]], Iterator[Receipt | Failure]]
 FAILURES = "failures"
 """Below the work folder: what could not be converted, for `finalise` and for another try."""
 _PARTS_HINT = "Run the parts that have not ended (or `unidrive convert` without --part), then finalise."
@@ -54,9 +55,9 @@ class PartSummary:
 
     Attributes:
         part: `i/n`.
-        samples: how many samples the share has.
+        samples: how many samples, and sweeps, the share has.
         failures: units of it that were left out.
-        left: samples of the whole conversion that are not converted yet.
+        left: samples, and sweeps, of the whole conversion that are not converted yet.
         already_complete: DST is finished; nothing was done.
     """
 
@@ -112,10 +113,10 @@ def convert(
         destination = begin(root, plan.identity, same=same, force=force)
         try:
             if only_failed:
-                failed = [unit for unit in plan.units if _recorded(destination, unit)]
+                failed = [unit for unit in plan.moments if _recorded(destination, unit)]
                 _run_units(plan, failed, destination, executor, progress)
                 return _finalised_as_recorded(plan, destination, started, _ONLY_FAILED_HINT)
-            receipts, failures = _run_units(plan, plan.units, destination, executor, progress)
+            receipts, failures = _run_units(plan, plan.moments, destination, executor, progress)
             return _finalised(plan, destination, receipts, failures, time.monotonic() - started)
         except BaseException:
             abandon(destination)
@@ -134,7 +135,7 @@ def convert_part(plan: Plan, destination_root: Path, part: Part, *, progress: Pr
     """
     root, same = _checked(plan, destination_root, force=False)
     executor = _executor(plan)
-    units = part.of(plan.units)
+    units = part.of(plan.moments)
     with held(root, shared=True):
         if same and Destination(root).finished and not read_summary(Destination(root)).failures:
             return PartSummary(str(part), len(units), [], 0, already_complete=True)
@@ -142,7 +143,7 @@ def convert_part(plan: Plan, destination_root: Path, part: Part, *, progress: Pr
         _, failures = _run_units(plan, units, destination, executor, progress)
         to_disk(root)
         done = {path.name for path in (destination.work / RECEIPTS).glob("*.json")}
-        left = sum(Path(receipt_name(unit.sample.token)).name not in done for unit in plan.units)
+        left = sum(Path(receipt_name(unit.token)).name not in done for unit in plan.moments)
         return PartSummary(str(part), len(units), failures, left)
 
 
@@ -190,7 +191,7 @@ def _finalised_as_recorded(plan: Plan, destination: Destination, started: float,
         started: on the monotonic clock.
         hint: what to do where samples were not tried yet.
     """
-    receipts, missing = _receipts(plan, plan.units, destination)
+    receipts, missing = _receipts(plan, plan.moments, destination)
     failures = [failure for unit in missing if (failure := _recorded(destination, unit))]
     if missing and (len(failures) < len(missing) or plan.options.on_error == "stop"):
         raise _missing_error(destination.root, missing, failures, hint)
@@ -201,7 +202,7 @@ def _finalised(
     plan: Plan, destination: Destination, receipts: dict[str, Receipt], failures: list[Failure], seconds: float
 ) -> Summary:
     started = time.monotonic()
-    if not receipts:
+    if not any(unit.token in receipts for unit in plan.units):
         raise CheckError(f"not one sample could be converted; the first: {failures[0].sentence}")
     summary = finalise(plan, destination, receipts, failures)
     summary.seconds = {"units": round(seconds, 3), "finalise": round(time.monotonic() - started, 3)}
@@ -210,41 +211,44 @@ def _finalised(
     return summary
 
 
-def _failure_name(sample_token: str) -> str:
-    return f"{WORK}/{FAILURES}/{Path(receipt_name(sample_token)).name}"
+def _failure_name(token: str) -> str:
+    return f"{WORK}/{FAILURES}/{Path(receipt_name(token)).name}"
 
 
-def _recorded(destination: Destination, unit: Unit) -> Failure | None:
+def _recorded(destination: Destination, unit: Moment) -> Failure | None:
     with contextlib.suppress(OSError, ValueError, TypeError):
-        record = (destination.root / _failure_name(unit.sample.token)).read_bytes()
+        record = (destination.root / _failure_name(unit.token)).read_bytes()
         return Failure(**json.loads(record))
     return None
 
 
-def _missing_error(root: Path, missing: Sequence[Unit], failures: Sequence[Failure], hint: str) -> CheckError:
-    first = ", ".join(f"{unit.sample.token} of {unit.scene.name}" for unit in missing[:3])
+def _missing_error(root: Path, missing: Sequence[Moment], failures: Sequence[Failure], hint: str) -> CheckError:
+    first = ", ".join(f"{unit.token} of {unit.scene.name}" for unit in missing[:3])
     more = ", ..." if len(missing) > 3 else ""
     if len(failures) == len(missing):
         hint = f"All of them failed ({failures[0].sentence}); --on-error skip leaves them out."
-    samples = "1 sample is" if len(missing) == 1 else f"{len(missing)} samples are"
+    noun = "moment" if any(isinstance(unit, Sweep) for unit in missing) else "sample"
+    samples = f"1 {noun} is" if len(missing) == 1 else f"{len(missing)} {noun}s are"
     return CheckError(f"{samples} not converted yet: {first}{more}.", where=str(root), hint=hint)
 
 
-def _receipts(plan: Plan, units: Sequence[Unit], destination: Destination) -> tuple[dict[str, Receipt], list[Unit]]:
-    """The receipts of the units that are done, by sample, and the units that are not."""
+def _receipts(
+    plan: Plan, units: Sequence[Moment], destination: Destination
+) -> tuple[dict[str, Receipt], list[Moment]]:
+    """The receipts of the units that are done, by token, and the units that are not."""
     receipts: dict[str, Receipt] = {}
-    missing: list[Unit] = []
+    missing: list[Moment] = []
     for unit in units:
-        receipt = read_receipt(destination, unit.sample.token, unit.pictures, plan.options.masks)
+        receipt = read_receipt(destination, unit.token, unit.pictures, plan.options.masks)
         if receipt is None:
             missing.append(unit)
         else:
-            receipts[unit.sample.token] = receipt
+            receipts[unit.token] = receipt
     return receipts, missing
 
 
 def _run_units(
-    plan: Plan, units: Sequence[Unit], destination: Destination, executor: Executor, progress: Progress | None
+    plan: Plan, units: Sequence[Moment], destination: Destination, executor: Executor, progress: Progress | None
 ) -> tuple[dict[str, Receipt], list[Failure]]:
     receipts, missing = _receipts(plan, units, destination)
     failures: list[Failure] = []
@@ -260,13 +264,12 @@ def _run_units(
     work = functools.partial(_attempt, job, plan.dataset.folder, skip)
     frames = (_frame(plan, unit, skip=skip) for unit in missing)
     for outcome in executor(work, missing, frames) if missing else ():
-        record = destination.root / _failure_name(outcome.sample_token)
         if isinstance(outcome, Failure):
             failures.append(replace(outcome, sentence=relative(plan, outcome.sentence)))
             destination.write(_failure_name(outcome.sample_token), json.dumps(asdict(failures[-1])).encode())
         else:
-            receipts[outcome.sample_token] = outcome
-            record.unlink(missing_ok=True)
+            receipts[outcome.token] = outcome
+            (destination.root / _failure_name(outcome.token)).unlink(missing_ok=True)
         if progress:
             progress(len(receipts) + len(failures), len(units))
     failures.sort(key=lambda failure: failure.sample_token)
@@ -292,7 +295,7 @@ def _executor(plan: Plan) -> Executor:
             ) from error
         return lambda work, units, frames: in_cluster(functools.partial(_in_worker, work), frames, options.scheduler)
 
-    def here(work: Work, units: Sequence[Unit], frames: Iterable[Frame | Failure]) -> Iterator[Receipt | Failure]:
+    def here(work: Work, units: Sequence[Moment], frames: Iterable[Frame | Failure]) -> Iterator[Receipt | Failure]:
         if options.jobs == 0 or len(units) == 1:
             return map(work, frames)
         return in_workers(functools.partial(_in_worker, work), frames, min(options.jobs, len(units)))
@@ -300,13 +303,13 @@ def _executor(plan: Plan) -> Executor:
     return here
 
 
-def _frame(plan: Plan, unit: Unit, *, skip: bool) -> Frame | Failure:
+def _frame(plan: Plan, unit: Moment, *, skip: bool) -> Frame | Failure:
     try:
         return plan.frame(unit)
     except UnidriveError as error:
         if not skip:
             raise
-        return Failure(unit.sample.token, error.sentence)
+        return Failure(unit.token, error.sentence)
 
 
 def _in_worker(work: Work, frame: Frame | Failure) -> Receipt | Failure:
@@ -323,4 +326,4 @@ def _attempt(job: Job, source: Path, skip: bool, frame: Frame | Failure) -> Rece
     except DatasetError as error:
         if not skip:
             raise
-        return Failure(frame.sample_token, error.sentence)
+        return Failure(frame.token, error.sentence)

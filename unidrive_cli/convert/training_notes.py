@@ -39,6 +39,11 @@ def training_notes(plan: Plan) -> str:
         "- Black pixels were seen by no source camera"
         + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
         *_common(plan),
+        *(
+            ["- Every camera has key frames and sweeps (`sweeps/`, `is_key_frame` false), as lidars have."]
+            if plan.sweeps
+            else []
+        ),
         f"- Boxes that the virtual rig does not show are {_unseen_boxes(plan.options)}.",
         "- `image_annotations.json` holds 2D boxes of the virtual pictures.",
         f"- Open with nuscenes-devkit: `NuScenes(version='{plan.version}', dataroot=...)`.",

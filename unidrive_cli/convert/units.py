@@ -1,4 +1,4 @@
-"""One unit of work: a sample's pictures read, warped, encoded and written, its receipt last."""
+"""One unit of work: the pictures of a moment read, warped, encoded and written, its receipt last."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Frame:
     """A unit as its worker needs it.
 
     Attributes:
-        sample_token: names it.
+        token: names it.
         pictures: file name of each virtual picture below DST, in the rig's order.
         paths, sources: file and camera of each source picture.
         witnesses: all cameras that took a picture of the sample, whether they are sources or not:
@@ -68,7 +68,7 @@ class Frame:
         box_sizes_m: (n, 3) width, length, height.
     """
 
-    sample_token: str
+    token: str
     pictures: tuple[str, ...]
     paths: tuple[str, ...]
     sources: tuple[Source, ...]
@@ -81,7 +81,7 @@ class Receipt(msgspec.Struct, frozen=True):
     """What a finished unit leaves behind.
 
     Attributes:
-        sample_token: the unit.
+        token: the unit's.
         covered: share of covered pixels per virtual camera.
         picture_bytes: size of each picture's file.
         shown: per box, the share of what the source cameras see of it that the virtual rig still
@@ -90,7 +90,7 @@ class Receipt(msgspec.Struct, frozen=True):
         boxes: 2D boxes.
     """
 
-    sample_token: str
+    token: str
     covered: list[float]
     picture_bytes: list[int]
     shown: list[float]
@@ -98,21 +98,19 @@ class Receipt(msgspec.Struct, frozen=True):
     boxes: list[Box2d]
 
 
-def receipt_name(sample_token: str) -> str:
-    """The receipt of a sample, below DST; hashed because tokens are not to be trusted as file names."""
-    return f"{WORK}/{RECEIPTS}/{hashlib.sha256(sample_token.encode()).hexdigest()[:32]}.json"
+def receipt_name(token: str) -> str:
+    """The receipt of a unit, below DST; hashed because tokens are not to be trusted as file names."""
+    return f"{WORK}/{RECEIPTS}/{hashlib.sha256(token.encode()).hexdigest()[:32]}.json"
 
 
-def read_receipt(
-    destination: Destination, sample_token: str, pictures: Sequence[str], masks: Masks
-) -> Receipt | None:
-    """The receipt of a finished sample; None where it, a picture or a mask is missing, of another size or cut off.
+def read_receipt(destination: Destination, token: str, pictures: Sequence[str], masks: Masks) -> Receipt | None:
+    """The receipt of a finished unit; None where it, a picture or a mask is missing, of another size or cut off.
 
     After a loss of power a receipt can be there and what it stands for not: empty, or zeros of the right length.
     """
     root = destination.root
     try:
-        receipt = msgspec.json.decode((root / receipt_name(sample_token)).read_bytes(), type=Receipt)
+        receipt = msgspec.json.decode((root / receipt_name(token)).read_bytes(), type=Receipt)
         whole = all(
             _ends_with(root / name, _JPEG_END, size)
             for name, size in zip(pictures, receipt.picture_bytes, strict=True)
@@ -192,8 +190,8 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
         frame.witnesses,
         list(zip(job.rig.cameras, masks, strict=True)),
     )
-    receipt = Receipt(frame.sample_token, covered, sizes, shown, unwitnessed, boxes)
-    job.destination.write(receipt_name(frame.sample_token), msgspec.json.encode(receipt))
+    receipt = Receipt(frame.token, covered, sizes, shown, unwitnessed, boxes)
+    job.destination.write(receipt_name(frame.token), msgspec.json.encode(receipt))
     return receipt
 
 

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -196,6 +196,30 @@ class Dataset:
         """
         ego = self.ego_pose.get(row.ego_pose_token, self.sample_data.place(row, "ego_pose_token"))
         return _pose(self.ego_pose, ego)
+
+    @cached_property
+    def _pose_of_row(self) -> Indices:
+        """(n,) where the ego pose of each sample_data row stands, or negative."""
+        return self.sample_data.links("ego_pose_token", self.ego_pose)
+
+    def ego_poses_at(self, rows: Indices) -> Iterator[EgoPose]:
+        """The ego poses of the sample_data rows at these indices; for very many, of which few are asked for at once.
+
+        Raises:
+            DatasetError: dangling token.
+        """
+        places = self._pose_of_row[rows]
+        for row in self.sample_data.rows_at(rows[places < 0][:1]):
+            raise self.ego_pose.nowhere(row.ego_pose_token, self.sample_data.place(row, "ego_pose_token"))
+        return self.ego_pose.rows_at(places)
+
+    def global_from_ego_at(self, rows: Indices) -> list[Float]:
+        """`global_from_ego` of the sample_data rows at these indices.
+
+        Raises:
+            DatasetError: as `global_from_ego`.
+        """
+        return [_pose(self.ego_pose, ego) for ego in self.ego_poses_at(rows)]
 
     def ego_from_sensor(self, row: CalibratedSensor) -> Float:
         """(4, 4) pose of a sensor on the vehicle, metres.

@@ -46,13 +46,20 @@ def cameras_of(dataset: Dataset, sample: Sample, reference: SampleData) -> dict[
 
 
 def lens_and_cam_from_ego(
-    dataset: Dataset, row: SampleData, size_px: tuple[int, int], global_from_ego: Float, *, ego_motion: bool
+    dataset: Dataset,
+    row: SampleData,
+    size_px: tuple[int, int],
+    global_from_ego: Float,
+    global_from_own_ego: Float | None = None,
+    *,
+    ego_motion: bool,
 ) -> tuple[Lens, Float, Float]:
     """Lens of the camera that took a picture, and where it stood, seen from the car at another moment.
 
     Args:
         size_px: (width, height) of the picture.
         global_from_ego: (4, 4) pose of the car at the moment of the virtual pictures.
+        global_from_own_ego: (4, 4) at the picture's own moment; looked up where it is not given.
         ego_motion: whether the car's motion between the two moments counts.
 
     Returns:
@@ -66,7 +73,9 @@ def lens_and_cam_from_ego(
     cam_from_own_ego = inverse(ego_from_cam)
     if not ego_motion:
         return lens, cam_from_own_ego, cam_from_own_ego
-    return lens, seen_from(dataset, row, cam_from_own_ego, global_from_ego), cam_from_own_ego
+    if global_from_own_ego is None:
+        return lens, seen_from(dataset, row, cam_from_own_ego, global_from_ego), cam_from_own_ego
+    return lens, cam_from_own_ego @ relative(global_from_own_ego, global_from_ego), cam_from_own_ego
 
 
 def seen_from(dataset: Dataset, row: SampleData, cam_from_own_ego: Float, global_from_ego: Float) -> Float:
