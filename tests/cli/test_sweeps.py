@@ -189,13 +189,18 @@ def test_a_broken_sweep_is_left_out_and_its_sample_stays(swept: Path, bench: Ben
     same(bench.dst, swept)
 
 
-def test_sweeps_leave_with_their_sample(swept: Path, bench: Bench, painted: Path) -> None:
+@pytest.mark.parametrize("only_failed", [(), ("--only-failed",)])
+def test_sweeps_leave_with_their_sample(
+    swept: Path, bench: Bench, painted: Path, only_failed: tuple[str, ...]
+) -> None:
     """And so do their files; all come back when the sample can be read again."""
     key_frame = bench.picture(1)
     key_frame.write_bytes(b"no picture")
     run = bench.convert(*SWEEPS, "--on-error", "skip")
     assert run.code == 1
     assert "3 samples and 2 sweeps" in run.stdout
+    assert run.stderr.count("its sample is left out") == 2
+    assert len(listed(bench.dst)) == 3
     nusc = assert_consistent(bench.dst)
     assert len(nusc.sample) == 3
     named = {row["filename"] for row in nusc.sample_data}
@@ -203,8 +208,14 @@ def test_sweeps_leave_with_their_sample(swept: Path, bench: Bench, painted: Path
     assert here == named
     assert len(list((bench.dst / "masks").rglob("*.png"))) == (3 + 2) * 2
     shutil.copyfile(painted / key_frame.relative_to(bench.src), key_frame)
-    bench.converted(*SWEEPS)
+    bench.converted(*SWEEPS, *only_failed)
     same(bench.dst, swept)
+
+
+def test_sweeps_of_samples_that_are_not_asked_for_leave(bench: Bench) -> None:
+    run = bench.converted(*SWEEPS, "--max-samples", 3)
+    assert "3 samples and 2 sweeps" in run.stdout
+    assert_consistent(bench.dst)
 
 
 def test_a_drive_without_camera_sweeps_is_said_to_have_none(painted: Path, tmp_path: Path) -> None:

@@ -196,22 +196,30 @@ def test_provenance_names_source_rig_and_options(converted: Path) -> None:
 
 
 def test_both_tri_cars_in_one_run(shared_data: Path, tmp_path: Path) -> None:
-    """Scenes with other cars, channels and picture sizes; an empty map name and attribute table."""
-    destination = run(shared_data / "dgp-tri-2scenes", tmp_path / "out", jobs=2, masks="camera")
+    """Scenes with other cars and channels, one with a sweep; an empty map name and attribute table."""
+    destination = run(shared_data / "dgp-tri-2scenes", tmp_path / "out", jobs=2, masks="camera", sweeps=True)
     nusc = NuScenes(version="v1.0-dgp", dataroot=str(destination), verbose=False)
     assert (len(nusc.sample), len(nusc.sample_annotation)) == (5, 229)
     cameras = [row for row in nusc.sample_data if row["sensor_modality"] == "camera"]
-    assert len(cameras) == 30
-    chain = nusc.get(
-        "sample", nusc.get("scene", nusc.field2token("scene", "name", "scene_02")[0])["first_sample_token"]
+    assert len(cameras) == 36
+    lidar = [row for row in nusc.sample_data if row["channel"] == "LIDAR"]
+    for scene, key_frames in (("scene_02", [True, True, True]), ("scene_01", [True, False, True])):
+        first = nusc.get("scene", nusc.field2token("scene", "name", scene)[0])["first_sample_token"]
+        for channel in load_gallery_rig(RIG).channels:
+            token, chain = nusc.get("sample", first)["data"][channel], []
+            while token:
+                chain.append(nusc.get("sample_data", token))
+                token = chain[-1]["next"]
+            assert [row["is_key_frame"] for row in chain] == key_frames
+            assert {row["timestamp"] for row in chain} == {
+                row["timestamp"] for row in lidar if Path(row["filename"]).name.startswith(scene)
+            }
+            assert all((destination / row["filename"]).is_file() for row in chain)
+    assert sorted(path.name for path in (destination / "sweeps").iterdir()) == sorted(
+        ["LIDAR", *load_gallery_rig(RIG).channels]
     )
-    token, seen = chain["data"]["CAM_FRONT"], 0
-    while token:
-        row = nusc.get("sample_data", token)
-        assert (destination / row["filename"]).is_file()
-        token, seen = row["next"], seen + 1
-    assert seen == 3
-    assert len(list((destination / "sweeps/LIDAR").iterdir())) == 1
+    behind = next((destination / "sweeps/CAM_BACK").iterdir())
+    assert not cv2.imread(str(behind)).any(), "scene_01 has no camera that looks back"
     assert sorted(path.name for path in (destination / "masks").iterdir()) == sorted(
         f"{channel}.png" for channel in load_gallery_rig(RIG).channels
     )

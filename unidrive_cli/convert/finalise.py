@@ -24,7 +24,7 @@ from unidrive_cli.convert.verify import Verified, verify_staged
 from unidrive_cli.errors import DatasetError, OutputError
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
-from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name, mask_name
+from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
@@ -106,7 +106,6 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
         destination.write(PROVENANCE, _provenance(plan, summary))
-        _remove_left_out(plan, destination, tables)
     except OSError as error:
         raise OutputError(
             f"cannot be written: {error.strerror}.",
@@ -200,8 +199,8 @@ def _carry_files(
     carried = missing = 0
     example = ""
     maps = {row.filename for row in plan.dataset.map.rows}
-    examples = (*plan.units[:1], *plan.sweeps[:1])
-    folders = {name.rpartition("/")[0] for moment in examples for name in moment.pictures}
+    examples = [*plan.units[0].pictures, *(name for sweep in plan.sweeps[:1] for name in sweep.pictures)]
+    folders = {name.rpartition("/")[0] for name in examples}
     pictures: set[str] = set()
     for filename in carried_files(plan.dataset, tables.kept_sample_data, extra_files):
         target = plan.names[filename]
@@ -242,16 +241,6 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
         if blanks:
             blanks.cover(mask)
         destination.write(camera_mask_name(view.camera.channel), encode_mask(mask))
-
-
-def _remove_left_out(plan: Plan, destination: Destination, tables: OutputTables) -> None:
-    """Removes pictures and masks that no table names: sweeps go with their sample."""
-    kept = {moment.token for moment in tables.moments}
-    for moment in plan.moments:
-        if moment.token not in kept:
-            for name in moment.pictures:
-                (destination.root / name).unlink(missing_ok=True)
-                (destination.root / mask_name(name)).unlink(missing_ok=True)
 
 
 def _summary(

@@ -123,21 +123,15 @@ class OutputTables:
     def __init__(self, plan: Plan, receipts: dict[str, Receipt]) -> None:
         """
         Args:
-            receipts: by token of their units; samples without one leave the dataset, and sweeps with them.
+            receipts: by token of their units; units without one leave the dataset.
         """
         self._plan = plan
         self._dataset = plan.dataset
         self._receipts = receipts
         self._units = [unit for unit in plan.units if unit.sample.token in receipts]
-        samples = {unit.sample.token for unit in self._units}
-        self._sweeps = [sweep for sweep in plan.sweeps if sweep.token in receipts and sweep.sample.token in samples]
+        self._sweeps = [sweep for sweep in plan.sweeps if sweep.token in receipts]
         self._levels = VisibilityLevels(plan.dataset.visibility.rows)
         self.counts = Counts(samples=len(self._units), sweeps=len(self._sweeps))
-
-    @property
-    def moments(self) -> Iterator[Moment]:
-        """The units that are in the dataset."""
-        return itertools.chain(self._units, self._sweeps)
 
     @cached_property
     def kept_samples(self) -> Bool:

@@ -21,7 +21,7 @@ from unidrive_cli.convert.sweeps import Sweep
 from unidrive_cli.convert.units import Frame, Job, Receipt, check_machine, read_receipt, receipt_name, run_unit
 from unidrive_cli.convert.verify import verify
 from unidrive_cli.errors import CheckError, DatasetError, UnidriveError, UsageError
-from unidrive_cli.tables.converted import WORK
+from unidrive_cli.tables.converted import WORK, mask_name
 from unidrive_cli.tables.destination import (
     RECEIPTS,
     Destination,
@@ -204,6 +204,7 @@ def _finalised(
     started = time.monotonic()
     if not any(unit.token in receipts for unit in plan.units):
         raise CheckError(f"not one sample could be converted; the first: {failures[0].sentence}")
+    failures = [*failures, *_orphans(plan, destination, receipts)]
     summary = finalise(plan, destination, receipts, failures)
     summary.seconds = {"units": round(seconds, 3), "finalise": round(time.monotonic() - started, 3)}
     write_run(destination, summary)
@@ -211,8 +212,26 @@ def _finalised(
     return summary
 
 
+def _orphans(plan: Plan, destination: Destination, receipts: dict[str, Receipt]) -> list[Failure]:
+    """Leaves out, with their files, the sweeps whose sample is left out; takes them out of the receipts."""
+    failures = []
+    for moment in plan.sweeps:
+        if moment.token in receipts and moment.sample.token not in receipts:
+            del receipts[moment.token]
+            for name in moment.pictures:
+                (destination.root / name).unlink(missing_ok=True)
+                (destination.root / mask_name(name)).unlink(missing_ok=True)
+            failures.append(_record(destination, Failure(moment.token, "its sample is left out.")))
+    return failures
+
+
 def _failure_name(token: str) -> str:
     return f"{WORK}/{FAILURES}/{Path(receipt_name(token)).name}"
+
+
+def _record(destination: Destination, failure: Failure) -> Failure:
+    destination.write(_failure_name(failure.sample_token), json.dumps(asdict(failure)).encode())
+    return failure
 
 
 def _recorded(destination: Destination, unit: Moment) -> Failure | None:
@@ -265,8 +284,7 @@ def _run_units(
     frames = (_frame(plan, unit, skip=skip) for unit in missing)
     for outcome in executor(work, missing, frames) if missing else ():
         if isinstance(outcome, Failure):
-            failures.append(replace(outcome, sentence=relative(plan, outcome.sentence)))
-            destination.write(_failure_name(outcome.sample_token), json.dumps(asdict(failures[-1])).encode())
+            failures.append(_record(destination, replace(outcome, sentence=relative(plan, outcome.sentence))))
         else:
             receipts[outcome.token] = outcome
             (destination.root / _failure_name(outcome.token)).unlink(missing_ok=True)
