@@ -42,6 +42,7 @@ from unidrive_cli.cli.shared import (
 from unidrive_cli.convert.options import (
     Backend,
     Link,
+    LowCoverage,
     Masks,
     OnError,
     Options,
@@ -77,6 +78,14 @@ OUTPUT_VERSION = option(
     help="Version folder of the output (default: the source's; of other layouts than nuScenes' v1.0-trainval, "
     "v1.0-mini or v1.0-test).",
     show_default=False,
+)
+MIN_COVERAGE = option(
+    0.0, "--min-coverage", help="Least share (0 to 1) of a virtual picture that the source's cameras see."
+)
+LOW_COVERAGE = option(
+    "drop-camera",
+    "--low-coverage",
+    help="Below that: drop virtual cameras (by their mean over all samples) or single pictures, or keep and report.",
 )
 LINK = option(
     "hardlink", "--link", help="How unchanged files come into DST; links share SRC's data: treat as read-only."
@@ -114,6 +123,8 @@ def convert_command(
     masks: Masks = MASKS,
     visibility: VisibilityRule = VISIBILITY,
     unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
+    min_coverage: float = MIN_COVERAGE,
+    low_coverage: LowCoverage = LOW_COVERAGE,
     link: Link = LINK,
     keep_layout: bool = KEEP_LAYOUT,
     output_version: str = OUTPUT_VERSION,
@@ -170,6 +181,8 @@ def convert_command(
         masks=masks,
         visibility=visibility,
         unseen_boxes=unseen_boxes,
+        min_coverage=min_coverage,
+        low_coverage=low_coverage,
         link=link,
         keep_layout=keep_layout,
         output_version=output_version,
@@ -348,10 +361,10 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
     if summary.already_complete:
         typer.echo(f"{dst} already holds this conversion, complete; it was verified again, and nothing was changed.")
         return
-    pictures = (counts.samples + counts.sweeps) * len(plan.rig.cameras)
     typer.echo(
-        f"{dst}: {plural(counts.samples, 'sample')}{_and_sweeps(counts.sweeps)}, {plural(pictures, 'picture')} "
-        f"({human_bytes(summary.picture_bytes)}), {plural(counts.annotations, 'annotation')}, "
+        f"{dst}: {plural(counts.samples, 'sample')}{_and_sweeps(counts.sweeps)}, "
+        f"{plural(counts.pictures, 'picture')} ({human_bytes(summary.picture_bytes)}), "
+        f"{plural(counts.annotations, 'annotation')}, "
         f"{counts.boxes_2d:,} 2D {'box' if counts.boxes_2d == 1 else 'boxes'}"
     )
     covered = ", ".join(f"{channel} {share:.0%}" for channel, share in summary.covered.items())

@@ -11,7 +11,9 @@ from unidrive_cli.cli.convert import (
     KEEP_LAYOUT,
     KERNEL,
     LINK,
+    LOW_COVERAGE,
     MASKS,
+    MIN_COVERAGE,
     ON_ERROR,
     OUTPUT_VERSION,
     QUALITY,
@@ -43,7 +45,7 @@ from unidrive_cli.cli.shared import (
     guarded,
     option,
 )
-from unidrive_cli.convert.options import Link, Masks, OnError, UnseenBoxes, VerifyLevel, VisibilityRule
+from unidrive_cli.convert.options import Link, LowCoverage, Masks, OnError, UnseenBoxes, VerifyLevel, VisibilityRule
 from unidrive_cli.warp.choices import Blend, Codec, Kernel
 
 
@@ -70,6 +72,8 @@ def finalise_command(
     masks: Masks = MASKS,
     visibility: VisibilityRule = VISIBILITY,
     unseen_boxes: UnseenBoxes = UNSEEN_BOXES,
+    min_coverage: float = MIN_COVERAGE,
+    low_coverage: LowCoverage = LOW_COVERAGE,
     link: Link = LINK,
     keep_layout: bool = KEEP_LAYOUT,
     output_version: str = OUTPUT_VERSION,
@@ -104,6 +108,8 @@ def finalise_command(
         masks=masks,
         visibility=visibility,
         unseen_boxes=unseen_boxes,
+        min_coverage=min_coverage,
+        low_coverage=low_coverage,
         link=link,
         keep_layout=keep_layout,
         output_version=output_version,

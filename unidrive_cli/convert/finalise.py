@@ -22,6 +22,7 @@ from unidrive_cli.convert.training_notes import training_notes
 from unidrive_cli.convert.units import Receipt
 from unidrive_cli.convert.verify import Verified, verify_staged
 from unidrive_cli.errors import DatasetError, OutputError
+from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
@@ -56,7 +57,7 @@ class Summary:
 
     Attributes:
         counts: rows and boxes of the output.
-        covered: mean share of covered pixels per virtual camera.
+        covered: mean share of covered pixels per virtual camera, in the samples.
         picture_bytes: size of all pictures together.
         files_carried, files_missing: files that go along; files that the source itself lacks.
         failures: units left out.
@@ -252,10 +253,20 @@ def _summary(
     failures: list[Failure],
     notes: list[str],
 ) -> Summary:
-    kept = [receipts[unit.token] for unit in plan.moments if unit.token in receipts]
-    means = np.mean([receipt.covered for receipt in kept], axis=0) if kept else np.zeros(len(plan.rig.cameras))
+    kept = [receipts[unit.token] for unit in plan.units if unit.token in receipts]
+    kept += [receipts[sweep.token] for sweep in plan.sweeps if sweep.token in receipts]
+    shares = np.array([receipt.covered for receipt in kept])
+    written = np.array([receipt.picture_bytes for receipt in kept]) > 0
+    samples = slice(counts.samples)
+    counted = written[samples].sum(axis=0)
+    means = np.sum(shares[samples], axis=0, where=written[samples]) / np.maximum(counted, 1)
     covered = {channel: round(float(mean), 4) for channel, mean in zip(plan.rig.channels, means, strict=True)}
-    black = [channel for channel, share in covered.items() if share < LOW_COVERAGE]
+    black = [
+        channel
+        for channel, count in zip(plan.rig.channels, counted.tolist(), strict=True)
+        if count and covered[channel] < LOW_COVERAGE
+    ]
+    notes.extend(_low_coverage_notes(plan, shares < plan.options.min_coverage, written))
     if black:
         notes.append(f"{', '.join(black)}: almost nothing of these pictures is covered; they are black.")
     return Summary(
@@ -267,6 +278,26 @@ def _summary(
         [Failure(failure.sample_token, relative(plan, failure.sentence)) for failure in failures],
         [relative(plan, note) for note in (*plan.notes, *notes)],
     )
+
+
+def _low_coverage_notes(plan: Plan, low: Bool, written: Bool) -> list[str]:
+    """Says how many pictures are covered less than was asked for, and what became of them.
+
+    Args:
+        low: (moments, cameras) which those are.
+        written: which pictures are in the dataset.
+    """
+    counts = zip(plan.rig.channels, low.sum(axis=0).tolist(), strict=True)
+    by_camera = ", ".join(f"{channel} {count:,}" for channel, count in counts if count)
+    if not by_camera:
+        return []
+    text = (
+        f"{low.sum():,} of {low.size:,} pictures are covered less than {plan.options.min_coverage:.1%} ({by_camera})"
+    )
+    if plan.options.low_coverage != "drop-picture":
+        return [f"{text}, and kept."]
+    units, gaps = "samples and sweeps" if plan.sweeps else "samples", np.count_nonzero(~written.all(axis=1))
+    return [f"{text}, and left out: {gaps:,} of {len(low):,} {units} lack cameras, at which most trainers stop."]
 
 
 def _list_failures(plan: Plan, destination: Destination, failures: list[Failure]) -> None:

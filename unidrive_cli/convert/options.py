@@ -15,6 +15,7 @@ Link = Literal["hardlink", "symlink", "copy"]
 VerifyLevel = Literal["sample", "full"]
 VisibilityRule = Literal["lower", "keep"]
 UnseenBoxes = Literal["keep", "drop"]
+LowCoverage = Literal["drop-camera", "drop-picture", "keep"]
 OnError = Literal["stop", "skip"]
 Backend = Literal["processes", "dask"]
 _TAKEN = (*RESERVED, "samples", "sweeps", "data", "maps", "map", "can_bus", "lidarseg", "panoptic")
@@ -37,6 +38,9 @@ class Options(WarpChoices):
         masks: one coverage mask per picture, one per virtual camera, or none.
         visibility: `lower` it where the virtual rig shows less of a box, or `keep`.
         unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
+        min_coverage: least share of a virtual picture, 0 to 1, that sources see.
+        low_coverage: what happens below it: `drop-camera` drops virtual cameras that stay below it in the mean of
+            all samples, `drop-picture` single pictures; `keep` keeps all. What is kept is reported.
         link: how files that do not change come into the output.
         on_error: `stop` at the first broken sample, or `skip` it.
         verify: `sample` of the pictures decoded at the end, and scenes opened with nuscenes-devkit, or `full`.
@@ -58,6 +62,8 @@ class Options(WarpChoices):
     masks: Masks = "frame"
     visibility: VisibilityRule = "lower"
     unseen_boxes: UnseenBoxes = "keep"
+    min_coverage: float = 0.0
+    low_coverage: LowCoverage = "drop-camera"
     link: Link = "hardlink"
     on_error: OnError = "stop"
     verify: VerifyLevel = "sample"
@@ -83,12 +89,18 @@ class Options(WarpChoices):
             )
         if self.output_version and self.keep_layout:
             raise UsageError("--output-version and --keep-layout exclude each other.")
+        if not 0 <= self.min_coverage <= 1:
+            raise UsageError(f"--min-coverage must be a share from 0 to 1, got {self.min_coverage:g}.")
         if self.jobs < 0:
             raise UsageError(f"--jobs must be 0 or more, got {self.jobs}.")
         if self.backend == "dask" and not self.scheduler:
             raise UsageError("--backend dask needs the address of a scheduler.", hint="Give it with --scheduler.")
         if self.scheduler and self.backend != "dask":
             raise UsageError(f"--scheduler {self.scheduler} needs --backend dask.")
+
+    def drops_picture(self, covered: float) -> bool:
+        """Whether a virtual picture with this covered share is left out."""
+        return self.low_coverage == "drop-picture" and covered < self.min_coverage
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""

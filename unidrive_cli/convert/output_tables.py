@@ -105,6 +105,7 @@ class Counts:
 
     samples: int = 0
     sweeps: int = 0
+    pictures: int = 0
     annotations: int = 0
     visibility_lowered: int = 0
     boxes_unseen: int = 0
@@ -203,6 +204,8 @@ class OutputTables:
             counts = threads.map(write_table, names, [rows[name] for name in names])
             self.counts.tables.update(zip(names, counts, strict=True))
         receipts = [self._receipts[unit.sample.token] for unit in self._units]
+        moments: Iterator[Moment] = itertools.chain(self._units, self._sweeps)
+        self.counts.pictures = sum(sum(self._has_picture(moment)) for moment in moments)
         self.counts.annotations = int(np.count_nonzero(self.kept_annotations))
         self.counts.visibility_lowered = len(self._lowered)
         self.counts.boxes_unseen = sum(receipt.shown.count(0.0) for receipt in receipts)
@@ -276,7 +279,7 @@ class OutputTables:
             yield run_of(
                 [
                     _PoseRow(token, moment.timestamp, pose.rotation, pose.translation)
-                    for token in self._picture_tokens(moment)
+                    for token in itertools.compress(self._picture_tokens(moment), self._has_picture(moment))
                 ]
             )
 
@@ -288,7 +291,8 @@ class OutputTables:
         by_scene = moments_by_scene(self._units, self._sweeps)
         for index, camera in enumerate(self._plan.rig.cameras):
             calibration, lens = self._token("calibrated_sensor", "", camera.channel), camera.lens
-            for moments in by_scene:
+            for scene in by_scene:
+                moments = [moment for moment in scene if self._receipts[moment.token].picture_bytes[index]]
                 tokens = ["", *(self._picture_token(moment, camera.channel) for moment in moments), ""]
                 yield run_of(
                     [
@@ -392,6 +396,10 @@ class OutputTables:
     def _picture_tokens(self, moment: Moment) -> list[str]:
         """sample_data tokens of a unit's virtual pictures, in the rig's order; their poses have the same."""
         return [self._picture_token(moment, channel) for channel in self._plan.rig.channels]
+
+    def _has_picture(self, moment: Moment) -> list[bool]:
+        """Whether each of them was written."""
+        return [size > 0 for size in self._receipts[moment.token].picture_bytes]
 
     def _picture_token(self, moment: Moment, channel: str) -> str:
         return self._token("sample_data", moment.token, channel)

@@ -8,7 +8,7 @@ import stat
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from unidrive_cli.check.files import named_files
 from unidrive_cli.check.poses import check_poses
 from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.common import Common, with_own_rig
+from unidrive_cli.convert.coverage import covered_rig
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.output_names import OutputNames
@@ -259,11 +260,17 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
     if not any(unit.sources for unit in units):
         raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
+    own_rig_notes: list[str] = []
+    if common:
+        common, own_rig_notes = with_own_rig(common, dataset, options, scene_names(units))
+    if options.min_coverage and options.low_coverage == "drop-camera":
+        whole = rig
+        rig, more = covered_rig(dataset, whole, [unit.sources for unit in units], options, common)
+        notes.extend(more)
+        units = [_through(unit, whole, rig) for unit in units]
     notes.extend(_source_notes(dataset, units, channels, surfaces))
     notes.extend(consumer_notes(rig, dataset))
-    if common:
-        common, more = with_own_rig(common, dataset, options, scene_names(units))
-        notes.extend(more)
+    notes.extend(own_rig_notes)
     sweeps: list[Sweep] = []
     if options.sweeps:
         sweeps, more = _sweeps(dataset, rig, options, units, sorted(channels), taken)
@@ -293,6 +300,12 @@ def _check_layout(dataset: Dataset, options: Options) -> None:
             f"--keep-layout: {dataset.folder} is in the layout of {dataset.layout.title}; {able} alone can be kept.",
             hint="--output-version chooses the version folder of the output.",
         )
+
+
+def _through(unit: Unit, whole: Rig, rig: Rig) -> Unit:
+    """A unit of a rig for what remains of it."""
+    pictures = dict(zip(whole.channels, unit.pictures, strict=True))
+    return replace(unit, pictures=tuple(pictures[channel] for channel in rig.channels))
 
 
 def scene_names(units: Iterable[Unit]) -> tuple[str, ...]:

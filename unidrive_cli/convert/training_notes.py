@@ -40,6 +40,14 @@ def training_notes(plan: Plan) -> str:
         + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
         *_common(plan),
         *(
+            [
+                f"- Pictures covered less than {plan.options.min_coverage:.1%} are left out: samples may lack "
+                "cameras, and code that stacks all of them must be told."
+            ]
+            if plan.options.min_coverage and plan.options.low_coverage == "drop-picture"
+            else []
+        ),
+        *(
             ["- Every camera has key frames and sweeps (`sweeps/`, `is_key_frame` false), as lidars have."]
             if plan.sweeps
             else []

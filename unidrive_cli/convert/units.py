@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from unidrive_cli.convert.boxes import Box2d, seen_boxes
 from unidrive_cli.convert.options import Masks, Options
@@ -83,7 +84,7 @@ class Receipt(msgspec.Struct, frozen=True):
     Attributes:
         token: the unit's.
         covered: share of covered pixels per virtual camera.
-        picture_bytes: size of each picture's file.
+        picture_bytes: size of each picture's file; 0 where it is left out.
         shown: per box, the share of what the source cameras see of it that the virtual rig still
             shows, 0 to 1; 0 where no virtual pixel shows it.
         unwitnessed: how many boxes no real camera saw.
@@ -113,10 +114,10 @@ def read_receipt(destination: Destination, token: str, pictures: Sequence[str], 
         receipt = msgspec.json.decode((root / receipt_name(token)).read_bytes(), type=Receipt)
         whole = all(
             _ends_with(root / name, _JPEG_END, size)
+            and (masks != "frame" or _ends_with(root / mask_name(name), _PNG_END))
             for name, size in zip(pictures, receipt.picture_bytes, strict=True)
+            if size
         )
-        if masks == "frame":
-            whole = whole and all(_ends_with(root / mask_name(name), _PNG_END) for name in pictures)
     except (OSError, ValueError):
         return None
     return receipt if whole else None
@@ -178,11 +179,15 @@ def run_unit(job: Job, frame: Frame) -> Receipt:
     rendered = renderer_of(job).render(paths, frame.sources, job.options.quality, SKIP_HINT)
     sizes, covered, masks = [], [], []
     for picture, name in zip(rendered, frame.pictures, strict=True):
+        covered.append(round(picture.covered, 6))
+        if job.options.drops_picture(covered[-1]):
+            sizes.append(0)
+            masks.append(np.zeros_like(picture.mask))
+            continue
         job.destination.write(name, picture.jpeg)
         if job.options.masks == "frame":
             job.destination.write(mask_name(name), encode_mask(picture.mask))
         sizes.append(len(picture.jpeg))
-        covered.append(round(picture.covered, 6))
         masks.append(picture.mask)
     shown, unwitnessed, boxes = seen_boxes(
         frame.ego_from_box,

@@ -19,6 +19,7 @@ from unidrive_cli.warp.remap import Mask, Source, VirtualView, candidate_box
 DEFAULT_SWEEP_M = 1.0
 """How far a car drives between a camera's moment and the reference, at most."""
 _ROWS = 64
+_GRID = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +135,25 @@ def fill(views: Sequence[VirtualView], rigs: Sequence[Rig], sweep_m: float) -> F
     by_rig = tuple(tuple(_share(_filled(view, rig, 0.0)) for rig in rigs) for view in views)
     common = tuple(_share(_common(view, rigs, _checked(sweep_m))) for view in views)
     return Fill(by_rig, common, sweep_m)
+
+
+def covered_share(view: VirtualView, sources: Sequence[Source], common: Mask | None = None) -> float:
+    """Share of a virtual picture's pixels that at least one source sees, from a grid of 128 x 128 of them.
+
+    Args:
+        common: (H, W) the pixels that are not blackened.
+    """
+    lens = view.camera.lens
+    rows, columns = (
+        np.unique(((np.arange(_GRID) + 0.5) * side / _GRID).astype(np.intp))
+        for side in (lens.height_px, lens.width_px)
+    )
+    seen: Bool = np.zeros((len(rows), len(columns)), dtype=bool)
+    for source in sources:
+        seen |= source.lens.project(view.points(source.cam_from_ego, rows, columns))[1]
+    if common is not None:
+        seen &= common[np.ix_(rows, columns)] > 0
+    return float(seen.mean())
 
 
 def _checked(sweep_m: float) -> float:
