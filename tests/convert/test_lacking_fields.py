@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.datasets import Bench, Row, assert_consistent, paint, rows, unidrive
+from tests.datasets import VERSION, Bench, Row, assert_consistent, paint, rows, rows_of, unidrive
 from unidrive_cli.tables import dataset as dataset_module
 
 FILLED: dict[str, dict[str, Any]] = {
@@ -103,3 +105,36 @@ def test_nothing_is_said_of_whole_rows(bench: Bench) -> None:
     run = bench.converted()
     assert "is missing in" not in run.stdout
     assert_consistent(bench.dst)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda row: row.update(index=7), ""),
+        (lambda row: None, "the category {name} has no index"),
+        (lambda row: row.update(index=None), "the category {name} has no index"),
+        (lambda row: row.update(index=7, name="car"), "it has no colour for the category car"),
+    ],
+    ids=["nuScenes'", "no index", "null", "T4's names"],
+)
+def test_labels_of_points(bench: Bench, change: Callable[[Row], object], why: str) -> None:
+    """Where nuscenes-devkit cannot name the categories, their table goes along under another name."""
+    lidar = [row for row in rows_of(bench.src, "lidar") if row["is_key_frame"]]
+    labels = [
+        {**dict.fromkeys(("token", "sample_data_token"), row["token"]), "filename": f"lidarseg/{VERSION}/{n}.bin"}
+        for n, row in enumerate(lidar)
+    ]
+    bench.table("lidarseg").write_text(json.dumps(labels))
+    (bench.src / "lidarseg" / VERSION).mkdir(parents=True)
+    for row in labels:
+        (bench.src / row["filename"]).write_bytes(b"\1\2")
+    bench.edit("category", lambda found: [row.update(index=n) for n, row in enumerate(found)])
+    name = rows(bench.src, "category")[2]["name"]
+    bench.edit("category", lambda found: (found[2].pop("index"), change(found[2])))
+    run = bench.converted()
+    table = "source_lidarseg" if why else "lidarseg"
+    assert rows(bench.dst, table) == labels
+    assert (bench.dst / VERSION / "lidarseg.json").exists() == (not why)
+    assert all((bench.dst / row["filename"]).read_bytes() == b"\1\2" for row in labels)
+    assert ("lidarseg.json goes along as source_lidarseg.json" in run.stdout) == bool(why)
+    assert why.format(name=name) in run.stdout

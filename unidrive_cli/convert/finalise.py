@@ -27,6 +27,7 @@ from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
+from unidrive_cli.tables.devkit import LABELS, labels_refused
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
 from unidrive_cli.tables.table import RawRows, write_rows
@@ -162,14 +163,20 @@ def _extra_tables(plan: Plan, tables: OutputTables, folder: Path, notes: list[st
         if name == SPLITS:
             continue
         source = plan.dataset.extra_tables[name]
+        target = folder / source.path.name
+        if name in LABELS and (why := labels_refused(plan.dataset.category)):
+            target = folder / f"source_{name}.json"
+            notes.append(
+                f"{name}.json goes along as {target.name}: nuscenes-devkit would stop at it, because {why}."
+            )
         left = len(source.rows or []) - len(kept)
         named = [source.filename(row) for row in kept]
         moved = [{"filename": plan.names[name]} if name and plan.names[name] != name else {} for name in named]
         if left or any(moved):
             rows = ({**row, **change} for row, change in zip(kept, moved, strict=True))
-            write_rows(folder / source.path.name, (json.dumps(row).encode() for row in rows))
+            write_rows(target, (json.dumps(row).encode() for row in rows))
         else:
-            shutil.copyfile(source.path, folder / source.path.name)
+            shutil.copyfile(source.path, target)
         if left:
             notes.append(
                 f"{source.path.name}: {left} rows belong to pictures or samples that are gone, and left with them."

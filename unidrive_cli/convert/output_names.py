@@ -10,9 +10,7 @@ import numpy as np
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.tables.dataset import Dataset
-
-_BY_VERSION = ("lidarseg", "panoptic")
-"""Folders in which nuscenes-devkit looks for a folder of the version's name."""
+from unidrive_cli.tables.devkit import LABELS
 
 
 class OutputNames:
@@ -45,7 +43,7 @@ class OutputNames:
     def __getitem__(self, filename: str) -> str:
         """The name in the output of a file of the source."""
         top, _, below = filename.partition("/")
-        if top in _BY_VERSION and below.startswith(f"{self._dataset.version}/"):
+        if top in LABELS and below.startswith(f"{self._dataset.version}/"):
             return f"{top}/{self._version}{below[len(self._dataset.version) :]}"
         return self._sorted.get(filename, filename)
 

@@ -12,6 +12,7 @@ import msgspec
 from unidrive_cli.errors import UsageError
 from unidrive_cli.merge.renaming import Renaming
 from unidrive_cli.tables.dataset import Dataset
+from unidrive_cli.tables.devkit import LABELS
 from unidrive_cli.tables.schema import TABLES
 from unidrive_cli.tables.table import RawRow
 from unidrive_cli.tables.tokens import moved_token
@@ -19,8 +20,6 @@ from unidrive_cli.tables.tokens import moved_token
 Record = dict[str, Any]
 UNITED = ("sensor", "calibrated_sensor", "category", "attribute", "visibility", "log", "map")
 """In an order in which a table comes after those that it points to."""
-LABELS = ("lidarseg", "panoptic")
-"""Extra tables whose files hold a category's `index`."""
 
 
 class United:

@@ -6,7 +6,28 @@ import contextlib
 import io
 from pathlib import Path
 
+import msgspec
+
 from unidrive_cli.errors import CheckError
+from unidrive_cli.tables.schema import Category
+from unidrive_cli.tables.table import ListedTable
+
+LABELS = ("lidarseg", "panoptic")
+"""Tables of point labels, which the devkit opens only where it knows the categories; their files are in a folder of
+that name, in one of the version's name."""
+
+
+def labels_refused(categories: ListedTable[Category]) -> str:
+    """Why nuscenes-devkit stops where a dataset with these categories has one of LABELS; empty where it does not."""
+    from nuscenes.utils.color_map import get_colormap
+
+    colours = get_colormap()
+    for row, raw in zip(categories.rows, categories.raw, strict=True):
+        if not isinstance(msgspec.json.decode(raw).get("index"), int):
+            return f"the category {row.name} has no index"
+        if row.name not in colours:
+            return f"it has no colour for the category {row.name}"
+    return ""
 
 
 def check_devkit(root: Path, version: str, annotations: int) -> int:
