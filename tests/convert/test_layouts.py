@@ -95,7 +95,7 @@ def test_is_found_out_and_said(name: str, outputs: dict[str, tuple[Path, Run]]) 
     _, title, _ = LAYOUTS[name]
     out, run = outputs[name]
     assert (f"layout: {title} (" in run.said) == (name != "nuscenes")
-    assert json.loads((out / "unidrive.json").read_bytes())["source"]["layout"] == name
+    assert json.loads((out / "unidrive.json").read_bytes())["plan"]["source"]["layout"] == name
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
