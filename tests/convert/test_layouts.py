@@ -15,7 +15,9 @@ from tests.datasets import SMALL_RIG, Row, Run, assert_consistent, paint, rows, 
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import Plan, make_plan
 from unidrive_cli.rig.yaml_file import load_rig
+from unidrive_cli.tables import dataset as dataset_module
 from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.tables.scanned import ScannedTable
 
 Pictures = dict[tuple[str, int], bytes]
 
@@ -321,9 +323,18 @@ def test_a_test_split_is_inspected_and_has_nothing_to_measure(sources: dict[str,
     assert unidrive("validate", sources["nuscenes"], "--json").json()["findings"] == []
 
 
-@pytest.mark.parametrize("name", ["lyft", "t4", "truckscenes", "carla", "unidrive"])
-def test_the_other_commands_read_it_too(name: str, sources: dict[str, Path], rig: Path) -> None:
-    """The painted boxes are measured in every layout, and the cameras are there."""
+@pytest.mark.parametrize(
+    ("name", "rules"),
+    [
+        ("lyft", {"REF-2", "REC-1", "REC-2"}),  # an extract
+        ("t4", set()),
+        ("truckscenes", {"STR-3"}),
+        ("carla", {"FILE-2"}),
+        ("unidrive", set()),
+    ],
+)
+def test_the_other_commands_read_it_too(name: str, rules: set[str], sources: dict[str, Path], rig: Path) -> None:
+    """The painted boxes are measured, the cameras are there, and what nuScenes has and the layout lacks is found."""
     title = LAYOUTS[name][1]
     inspected = unidrive("inspect-rig", sources[name], "--json")
     assert f"layout: {title} (" in inspected.said
@@ -331,7 +342,34 @@ def test_the_other_commands_read_it_too(name: str, sources: dict[str, Path], rig
     measured = unidrive("measure", sources[name], "--rig", rig, "--jobs", 0, "--json")
     assert f"layout: {title} (" in measured.said
     assert measured.json()["pairs"]["count"] > 100
-    assert f"layout: {title} (" in unidrive("validate", sources[name], "--json").said
+    found = unidrive("validate", sources[name], "--json")
+    assert f"layout: {title} (" in found.said
+    assert {rule for rule, count in found.json()["counts"].items() if count} == rules
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_large_tables_are_read_the_same(
+    name: str, sources: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = open_dataset(sources[name])
+    monkeypatch.setattr(dataset_module, "LARGE_BYTES", 0)
+    scanned = open_dataset(sources[name])
+    assert isinstance(scanned.sample_data, ScannedTable) == (name != "t4")
+    assert scanned.notes == read.notes
+    assert [row.sample_token for row in scanned.sample_data.rows] == [
+        row.sample_token for row in read.sample_data.rows
+    ]
+
+
+def test_a_file_beside_the_tables_that_leads_out_is_refused(
+    sources: dict[str, Path], rig: Path, tmp_path: Path
+) -> None:
+    source = Path(shutil.copytree(sources["t4"], tmp_path / "t4"))
+    (source / "status.json").unlink()
+    (source / "status.json").symlink_to(rig)
+    run = unidrive("convert", source, tmp_path / "out", "--rig", rig, "--dry-run")
+    assert run.code == 3
+    assert "t4/status.json" in run.said
 
 
 def test_a_layout_can_be_forced(sources: dict[str, Path], rig: Path, tmp_path: Path) -> None:

@@ -385,6 +385,8 @@ def _check_filenames(dataset: Dataset, version: str) -> None:
         check(filename, where)
     for place, filename in dataset.layout.further_files(dataset.sample_data, np.flatnonzero(~dataset.of_cameras)):
         check(filename, place.strip)
+    for name in dataset.layout.top_files:
+        check(name, str(dataset.root / name).strip)
     check_carried_folders(dataset)
 
 

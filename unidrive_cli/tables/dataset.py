@@ -310,7 +310,8 @@ def _open(folder: Path, layout: Layout, *, as_found: bool) -> Dataset:
     paths = {name: folder / f"{name}.json" for name in TABLES}
     growing = [name for name in SCANNED if paths[name].is_file()]
     tables: dict[str, Any] = {}
-    if sum(paths[name].stat().st_size for name in growing) > LARGE_BYTES:
+    mends_rows = layout.mends_rows and not as_found
+    if not mends_rows and sum(paths[name].stat().st_size for name in growing) > LARGE_BYTES:
         tables.update(scan_tables(folder, growing))
     for name in (*NEEDED, *OPTIONAL):
         if name in NEEDED and not paths[name].exists():

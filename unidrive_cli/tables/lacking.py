@@ -34,7 +34,7 @@ to read a row; and what a row without one gets."""
 class _Log(Row, frozen=True, gc=False):
     """What the logs of nuScenes' teaser sets have beyond nuScenes'."""
 
-    map_token: str | None = None
+    map_token: Any = None
 
 
 def lacking(table: Table[Any]) -> dict[int, list[str]]:
@@ -78,6 +78,6 @@ def _logs_by_map(logs: ListedTable[Any]) -> defaultdict[str, list[str]]:
     found: defaultdict[str, list[str]] = defaultdict(list)
     for raw in logs.raw:
         log = msgspec.json.decode(raw, type=_Log)
-        if log.map_token:
+        if isinstance(log.map_token, str):
             found[log.map_token].append(log.token)
     return found

@@ -23,6 +23,8 @@ class Layout(ABC):
         title: what people call it.
         sorts_files: whether files of lidars and radars get nuScenes' places in the output,
             `samples/<CHANNEL>/` and `sweeps/<CHANNEL>/`, because the layout has others.
+        mends_rows: whether `mend` changes rows of the tables that grow; these are read into memory then, however
+            large they are.
         top_files: files beside the version folder that go along.
         can_be_kept: whether `--keep-layout` writes it.
     """
@@ -30,6 +32,7 @@ class Layout(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     sorts_files: ClassVar[bool] = False
+    mends_rows: ClassVar[bool] = False
     top_files: ClassVar[tuple[str, ...]] = ()
     can_be_kept: ClassVar[bool] = False
 

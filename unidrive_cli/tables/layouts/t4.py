@@ -20,8 +20,8 @@ from unidrive_cli.tables.table import Indices, ListedTable, Table
 class _T4Data(Row, frozen=True, gc=False):
     """What T4's rows of sample_data have beyond nuScenes'."""
 
-    is_valid: bool | None = True
-    info_filename: str | None = None
+    is_valid: Any = True
+    info_filename: Any = None
 
 
 class T4Layout(Layout):
@@ -30,6 +30,7 @@ class T4Layout(Layout):
     name = "t4"
     title = "T4"
     sorts_files = True
+    mends_rows = True
     top_files = ("status.json",)
     can_be_kept = True
 
@@ -37,9 +38,7 @@ class T4Layout(Layout):
         return folder.name == "annotation"
 
     def mend(self, tables: dict[str, Any]) -> Iterator[str]:
-        table = tables["sample_data"]
-        if not isinstance(table, ListedTable):
-            return
+        table: ListedTable[SampleData] = tables["sample_data"]
         valid = np.array([msgspec.json.decode(raw, type=_T4Data).is_valid is not False for raw in table.raw])
         cameras = _of_cameras(tables)
         dropped = [
@@ -70,7 +69,7 @@ class T4Layout(Layout):
     def further_files(self, sample_data: Table[Any], rows: Indices) -> Iterator[tuple[str, str]]:
         for raw in sample_data.raw_at(rows):
             row = msgspec.json.decode(raw, type=_T4Data)
-            if row.info_filename:
+            if isinstance(row.info_filename, str) and row.info_filename:
                 yield sample_data.place(row, "info_filename"), row.info_filename
 
 
