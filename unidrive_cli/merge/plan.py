@@ -155,6 +155,7 @@ def make_merge_plan(
         notes.extend(f"Dataset {position}: {note}" for note in (*_renaming_notes(renaming), *more))
         parts.append(part)
         drives.append(drive)
+        del dataset  # before the next one is opened
     united.check_labels()
     notes.extend(_option_notes(inputs))
     return MergePlan(

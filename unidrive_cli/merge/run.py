@@ -124,6 +124,7 @@ def _merged(plan: MergePlan, destination: Destination, progress: Progress | None
             dataset = open_dataset(part.source.root, part.version)
             carrier.carry_all(part, dataset)
             tables.add(part, dataset)
+            del dataset  # before the next one is opened
     for name, path in plan.loose.items():
         shutil.copyfile(path, staged / f"{name}.json")
     if plan.splits:
