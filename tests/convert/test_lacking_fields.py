@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from tests.datasets import VERSION, Bench, Row, assert_consistent, paint, rows, rows_of, unidrive
+from unidrive_cli.errors import CheckError
 from unidrive_cli.tables import dataset as dataset_module
+from unidrive_cli.tables.devkit import check_devkit
 
 FILLED: dict[str, dict[str, Any]] = {
     "log": {"logfile": "", "location": ""},
@@ -49,6 +51,8 @@ def strip(bench: Bench, table: str, *fields: str, index: int | None = None) -> N
 def test_a_map_without_log_tokens(bench: Bench) -> None:
     """nuScenes' teaser sets; no log is mapped then, and an empty map is put in for them."""
     strip(bench, "map", "log_tokens")
+    with pytest.raises(CheckError, match="does not open the dataset: Exception: Error: log_tokens not in map table"):
+        check_devkit(bench.src, VERSION, len(rows(bench.src, "sample_annotation")))
     run = bench.converted()
     (log,) = rows(bench.dst, "log")
     assert [row["log_tokens"] for row in rows(bench.dst, "map")] == [[], [log["token"]]]
