@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from nuscenes.eval.common.loaders import load_gt
+from nuscenes.eval.detection.data_classes import DetectionBox
+from nuscenes.nuscenes import NuScenes
 
 from tests.datasets import VERSION, Bench, Row, assert_consistent, paint, rows, rows_of, unidrive
 from unidrive_cli.errors import CheckError
@@ -90,6 +93,10 @@ def test_every_field_that_is_asked_for(bench: Bench, scanned: bool, monkeypatch:
     boxes = rows(bench.dst, "image_annotations")
     lacking = {box["num_lidar_pts"] for box in boxes if box["sample_annotation_token"] == source_token(bench)}
     assert lacking == {-1}
+    nusc = NuScenes(VERSION, str(bench.dst), verbose=False)
+    nusc.list_scenes()
+    truth = load_gt(nusc, "mini_train", DetectionBox)
+    assert min(box.num_pts for box in truth.all) == -1
 
 
 def source_token(bench: Bench) -> str:
