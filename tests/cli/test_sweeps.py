@@ -9,7 +9,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tests.datasets import CHANNELS, Bench, Row, assert_consistent, rows, rows_of, tree, unidrive
+from tests import layouts
+from tests.datasets import CHANNELS, SMALL_RIG, Bench, Row, assert_consistent, rows, rows_of, tree, unidrive
 from tests.painted import nuscenes_like_cameras, write_painted
 
 SWEEPS = ("--sweeps",)
@@ -157,6 +158,35 @@ def test_the_variable_and_the_config_file_reach_it(swept: Path, bench: Bench) ->
     same(bench.dst, swept)
     bench.converted(env={"UNIDRIVE_SWEEPS": "1"}, dst=bench.folder / "other")
     same(bench.folder / "other", swept)
+
+
+@pytest.mark.parametrize("options", [(), ("--keep-layout",)])
+def test_t4_has_the_same_sweeps_whether_its_layout_is_kept_or_not(
+    swept: Path, painted: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    """There key frames and sweeps lie in one folder, and sweeps name no sample."""
+    source = layouts.t4(Path(shutil.copytree(painted, tmp_path / "src")))
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(SMALL_RIG)
+    run = unidrive("convert", source, tmp_path / "dst", "--rig", rig, "--jobs", 0, *SWEEPS, *options)
+    assert run.code == 0, run.stderr
+    version = "annotation" if options else "v1.0-trainval"
+    assert_consistent(tmp_path / "dst", version)
+    found = {
+        (row["timestamp"], row["width"], row["sample_token"], Path(row["filename"]).parent.name): (
+            tmp_path / "dst" / row["filename"]
+        ).read_bytes()
+        for row in rows(tmp_path / "dst", "sample_data", version)
+        if not row["is_key_frame"] and row["fileformat"] == "jpg"
+    }
+    assert found == {
+        (row["timestamp"], row["width"], row["sample_token"], Path(row["filename"]).parent.name): (
+            swept / row["filename"]
+        ).read_bytes()
+        for row in rows_of(swept, "camera")
+        if not row["is_key_frame"]
+    }
+    assert len(found) == 8
 
 
 # --- broken pictures ----------------------------------------------------------------------------------------------
