@@ -204,7 +204,7 @@ def test_a_camera_below_the_least_coverage_is_dropped(
     cars: dict[str, Path], alone: dict[str, Path], tmp_path: Path
 ) -> None:
     done = converted(half_blind(cars, tmp_path), tmp_path / "dst", "--min-coverage", 0.6)
-    assert "Left out, being covered less than 60.0% in the mean of all samples: CAM_BACK (50.0%)." in done.stdout
+    assert "Left out, being covered less than 60% in the mean of all samples: CAM_BACK (50.0%)." in done.stdout
     assert "The rig has 1 cameras (CAM_FRONT)" in done.stdout
     document = json.loads((tmp_path / "dst" / "unidrive.json").read_text())
     assert list(document["rig"]["cameras"]) == ["CAM_FRONT"]
@@ -219,7 +219,7 @@ def test_a_camera_below_the_least_coverage_is_dropped(
 
 def test_a_camera_above_it_stays_and_its_low_pictures_are_counted(cars: dict[str, Path], tmp_path: Path) -> None:
     done = converted(half_blind(cars, tmp_path), tmp_path / "dst", "--min-coverage", 0.4)
-    assert "2 of 8 pictures are covered less than 40.0% (CAM_BACK 2), and kept." in done.stdout
+    assert "2 of 8 pictures are covered less than 40% (CAM_BACK 2), and kept." in done.stdout
     assert sorted(pictures(tmp_path / "dst", "CAM_BACK")) == [0, 1, 2, 3]
 
 
@@ -227,7 +227,7 @@ def test_low_pictures_are_dropped_one_by_one(cars: dict[str, Path], alone: dict[
     source = half_blind(cars, tmp_path)
     done = converted(source, tmp_path / "dst", "--min-coverage", 0.6, "--low-coverage", "drop-picture")
     assert (
-        "2 of 8 pictures are covered less than 60.0% (CAM_BACK 2), and left out: 2 of 4 samples lack cameras"
+        "2 of 8 pictures are covered less than 60% (CAM_BACK 2), and left out: 2 of 4 samples lack cameras"
         in done.stdout
     )
     assert "6 pictures" in done.stdout
@@ -260,9 +260,21 @@ def test_low_coverage_can_be_kept_and_is_reported(
 ) -> None:
     source = half_blind(cars, tmp_path)
     done = converted(source, tmp_path / "dst", "--min-coverage", 0.6, "--low-coverage", "keep")
-    assert "2 of 8 pictures are covered less than 60.0% (CAM_BACK 2), and kept." in done.stdout
+    assert "2 of 8 pictures are covered less than 60% (CAM_BACK 2), and kept." in done.stdout
     assert pictures(tmp_path / "dst", "CAM_FRONT") == pictures(alone[SIX], "CAM_FRONT")
     assert sorted(pictures(tmp_path / "dst", "CAM_BACK")) == [0, 1, 2, 3]
+
+
+def test_what_is_blackened_for_another_car_is_not_covered(cars: dict[str, Path], tmp_path: Path) -> None:
+    """The six cameras see less of what lies ahead; a dry run says what the conversion would."""
+    options = ("--min-coverage", 0.9, "--dry-run")
+    alone = run(cars[OTHER], tmp_path / "dst", *options)
+    assert alone.code == 0
+    assert "Left out, being covered less than 90% in the mean of all samples: CAM_BACK (" in alone.stdout
+    common = run(cars[OTHER], tmp_path / "dst", *options, "--common-with", cars[SIX])
+    assert common.code == 2
+    assert "CAM_FRONT comes nearest: 77.9% are covered" in common.said
+    assert not (tmp_path / "dst").exists()
 
 
 def test_no_camera_left_is_refused(cars: dict[str, Path], tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.rig.yaml_file import parse_rig
-from unidrive_cli.warp.common import Blanks, CommonMasks, common_masks, fill
+from unidrive_cli.warp.common import Blanks, CommonMasks, common_masks, covered_share, fill
 from unidrive_cli.warp.remap import Mask, Source, VirtualView, build_patches, coverage, virtual_views
 
 
@@ -84,6 +84,26 @@ def test_each_rig_alone_and_in_common() -> None:
         assert common <= by_rig[1]
     assert shares.common[0] == shares.by_rig[0][1] == 0
     assert shares.common[2] > 0.9
+
+
+@pytest.mark.parametrize("name", ["5x70+110", "nuscenes-like"])
+def test_the_share_of_a_grid_is_that_of_all_pixels(name: str) -> None:
+    virtual, rig = ring(4, 80, width=400, height=240), load_gallery_rig(name)
+    sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in rig.cameras]
+    for view in views_of(virtual):
+        whole = static_coverage(view, rig)
+        assert covered_share(view, sources) == pytest.approx((whole > 0).mean(), abs=0.005)
+        left = np.zeros_like(whole)
+        left[:, :200] = 255
+        assert covered_share(view, sources, left) == pytest.approx((whole[:, :200] > 0).mean() / 2, abs=0.005)
+
+
+def test_the_grid_of_a_small_picture_is_all_of_it() -> None:
+    view = views_of(ring(1, 60, width=64, height=36))[0]
+    one = ring(6, 20)
+    sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in one.cameras]
+    assert covered_share(view, sources) == (static_coverage(view, one) > 0).mean()
+    assert covered_share(view, []) == 0
 
 
 def test_nothing_in_common_is_refused() -> None:

@@ -60,7 +60,9 @@ def covered_rig(
         if not stay
     )
     cameras = tuple(camera for camera, stay in zip(rig.cameras, stays, strict=True) if stay)
-    note = f"Left out, being covered less than {options.min_coverage:.1%} in the mean of all samples: {left_out}."
+    note = (
+        f"Left out, being covered less than {100 * options.min_coverage:g}% in the mean of all samples: {left_out}."
+    )
     return replace(rig, cameras=cameras), [note]
 
 

@@ -298,9 +298,8 @@ def _low_coverage_notes(plan: Plan, low: Bool, written: Bool) -> list[str]:
     by_camera = ", ".join(f"{channel} {count:,}" for channel, count in counts if count)
     if not by_camera:
         return []
-    text = (
-        f"{low.sum():,} of {low.size:,} pictures are covered less than {plan.options.min_coverage:.1%} ({by_camera})"
-    )
+    least = f"{100 * plan.options.min_coverage:g}%"
+    text = f"{low.sum():,} of {low.size:,} pictures are covered less than {least} ({by_camera})"
     if plan.options.low_coverage != "drop-picture":
         return [f"{text}, and kept."]
     units, gaps = "samples and sweeps" if plan.sweeps else "samples", np.count_nonzero(~written.all(axis=1))

@@ -41,7 +41,7 @@ def training_notes(plan: Plan) -> str:
         *_common(plan),
         *(
             [
-                f"- Pictures covered less than {plan.options.min_coverage:.1%} are left out: samples may lack "
+                f"- Pictures covered less than {100 * plan.options.min_coverage:g}% are left out: samples may lack "
                 "cameras, and code that stacks all of them must be told."
             ]
             if plan.options.min_coverage and plan.options.low_coverage == "drop-picture"
