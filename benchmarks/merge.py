@@ -78,6 +78,7 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("source", type=Path)
     parser.add_argument("--merge", type=Path, nargs=2, required=True)
+    parser.add_argument("--stages", nargs="+", help="only these (default: all)")
     parser.add_argument("--stage", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     work, pair = arguments.work, arguments.merge
@@ -101,7 +102,7 @@ def main() -> None:
         }
         print(json.dumps(found))
         return
-    for stage in stages:
+    for stage in arguments.stages or stages:
         command = [sys.executable, __file__, *sys.argv[1:], "--stage", stage]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
         print(json.dumps({"stage": stage, **json.loads(done.stdout.splitlines()[-1])}), flush=True)

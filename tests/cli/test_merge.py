@@ -465,6 +465,29 @@ def test_links(fleet: Fleet, out: Path, link: str) -> None:
         assert (path.samefile(source), path.is_symlink()) == (link != "copy", link == "symlink")
 
 
+def test_datasets_of_links_are_merged(fleet: Fleet, default: Path, out: Path, tmp_path: Path) -> None:
+    link = ("--link", "symlink")
+    halves = [fleet.convert(str(tmp_path / scene), "--scene", scene, *link) for scene in (TRAINING, VALIDATION)]
+    merged(*halves, "--out", out)
+    apart = ("run.json", "unidrive.json", "TRAINING.md", VERSION)
+    assert tree(out, apart) == tree(default, apart)
+
+
+def test_samples_that_were_left_out(fleet: Fleet, out: Path, tmp_path: Path) -> None:
+    """failures.txt names them by the tokens and scenes that they would have."""
+    broken = Path(shutil.copytree(fleet.painted, tmp_path / "broken"))
+    (key_frame,) = [row for row in rows_of(broken, "camera") if "CAM_FRONT/" in row["filename"]][:1]
+    (broken / key_frame["filename"]).write_bytes(b"")
+    arguments = ("--rig", fleet.rig, "--jobs", 0, "--on-error", "skip")
+    assert unidrive("convert", broken, tmp_path / "left", *arguments).code == 1
+    merged(fleet.other, tmp_path / "left", "--out", out)
+    (line,) = (out / "failures.txt").read_text().splitlines()
+    (original,) = (tmp_path / "left" / "failures.txt").read_text().splitlines()
+    assert line.split("\t")[1:] == [f"{TRAINING}-2", original.split("\t")[2]]
+    assert line.split("\t")[0] != original.split("\t")[0]
+    assert [row["nbr_samples"] for row in rows(out, "scene")] == [2, 2, 1, 2]
+
+
 def test_dry_run_and_json(fleet: Fleet, out: Path) -> None:
     document = merge(fleet.training, fleet.validation, "--out", out, "--dry-run", "--json").json()
     assert (document["scenes"], document["samples"], document["pictures"]) == (2, 4, 8)

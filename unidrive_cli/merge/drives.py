@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from unidrive_cli.errors import DatasetError
@@ -30,6 +31,12 @@ class DataPart(Row, frozen=True, gc=False):
     filename: str
     width: int | None = None
     height: int | None = None
+    info_filename: str | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The files that it names; T4's rows may name two."""
+        return (self.filename, self.info_filename) if self.info_filename else (self.filename,)
 
 
 class _Token(Row, frozen=True, gc=False):
@@ -57,9 +64,9 @@ class Drive:
     pictures: list[list[str]]
 
 
-def parts_of(table: Table[SampleData]) -> Iterator[DataPart | SampleData]:
+def parts_of(table: Table[SampleData]) -> Iterator[DataPart]:
     """The rows of sample_data, of which only what merging looks at is read."""
-    return table.parts_at(np.arange(len(table.rows)), DataPart)
+    return map(msgspec.json.Decoder(DataPart).decode, table.raw)
 
 
 def drive_of(source: Input, dataset: Dataset) -> Drive:
@@ -91,7 +98,8 @@ def _names(source: Input, dataset: Dataset, pictures: list[list[str]], poses: An
         parts_of(table), of_sample.tolist(), of_pose.tolist(), dataset.of_cameras.tolist(), strict=True
     ):
         where = f"{table.file}, token {row.token}"
-        check_filename(row.filename, f"{where}, field filename")
+        for name in row.files:
+            check_filename(name, f"{where}, field filename")
         if is_picture:
             channel = dataset.sensor_of_calibration[row.calibrated_sensor_token].channel
             camera = cameras.get(channel)
@@ -107,4 +115,4 @@ def _names(source: Input, dataset: Dataset, pictures: list[list[str]], poses: An
                 pictures[sample].append(row.filename)
                 if poses[sample] < 0:
                     poses[sample] = pose
-        yield row.filename
+        yield from row.files

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from unidrive_cli.convert.links import CARRIED_FOLDERS, check_carried_folders
+from unidrive_cli.convert.links import CARRIED_FOLDERS
 from unidrive_cli.errors import DatasetError
-from unidrive_cli.merge.drives import Drive
+from unidrive_cli.merge.drives import Drive, parts_of
 from unidrive_cli.merge.renaming import Renaming, suffixed
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
@@ -44,7 +44,6 @@ class FileNames:
         Raises:
             DatasetError: a name that leaves the dataset, or a folder that cannot be read.
         """
-        check_carried_folders(dataset)
         renaming.suffix, hashes = self._suffix(drive, dataset)
         named = self._named(dataset)
         are_data = np.isin(short_hashes(named), drive.files)
@@ -59,7 +58,7 @@ class FileNames:
             for (name, new), is_taken in zip(wanted.items(), are_taken.tolist(), strict=True)
         }
         left: list[str] = []
-        for name in _in_folders(dataset.root):
+        for name in _unnamed(dataset):
             if name not in carried:
                 new = _of_scene(name, renaming.scenes)
                 if _same(self._others.setdefault(new, dataset.root / name), dataset.root / name):
@@ -74,10 +73,10 @@ class FileNames:
         taken = np.concatenate([*self._data, short_hashes(self._others)])
         if not np.isin(drive.files, taken).any():
             return "", drive.files
-        for number in itertools.count(2):
+        for number in itertools.count(len(self._data) + 1):
             suffix = f"-{number}"
-            rows = dataset.sample_data.rows
-            hashes = short_hashes(suffixed(row.filename, suffix) for row in rows)
+            rows = parts_of(dataset.sample_data)
+            hashes = short_hashes(suffixed(name, suffix) for row in rows for name in row.files)
             if not np.isin(hashes, taken).any():
                 return suffix, hashes
         raise AssertionError("unreachable: numbers do not end")
@@ -109,11 +108,13 @@ class FileNames:
         raise AssertionError("unreachable: numbers do not end")
 
 
-def _in_folders(root: Path) -> Iterator[str]:
+def _unnamed(dataset: Dataset) -> Iterator[str]:
+    """Files that go along though no table names them."""
+    yield from (name for name in dataset.layout.top_files if (dataset.root / name).is_file())
     for folder in CARRIED_FOLDERS:
-        for path, folders, files in os.walk(root / folder):
+        for path, folders, files in os.walk(dataset.root / folder):
             folders.sort()
-            yield from ((Path(path) / name).relative_to(root).as_posix() for name in sorted(files))
+            yield from ((Path(path) / name).relative_to(dataset.root).as_posix() for name in sorted(files))
 
 
 def _of_scene(name: str, scenes: dict[str, str]) -> str:

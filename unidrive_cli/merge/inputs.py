@@ -12,8 +12,8 @@ import msgspec
 from unidrive_cli.errors import DatasetError, UsageError
 from unidrive_cli.tables.converted import PROVENANCE, refuse_unfinished
 
-OF_SUBSETS = ("scenes", "splits", "max_samples", "cameras", "link")
-"""Options that may differ without a word: they choose what is converted, or how files come along."""
+OF_SUBSETS = ("scenes", "splits", "max_samples", "cameras", "link", "keep_layout", "output_version")
+"""Options that may differ without a word: they choose what is converted, or where it lies."""
 
 
 class Leaf(msgspec.Struct, frozen=True):

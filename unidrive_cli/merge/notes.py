@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from unidrive_cli.convert.sweeps import SWEEP
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.merge.plan import MergePlan, Part
 from unidrive_cli.tables.destination import FAILED, TRAINING
@@ -34,7 +35,9 @@ def failures_of(plan: MergePlan) -> Iterator[tuple[str, str, str]]:
         for line in _text(part, FAILED).splitlines():
             token, _, rest = line.partition("\t")
             scene, _, reason = rest.partition("\t")
-            yield part.renaming.token("sample", token), part.renaming.scenes.get(scene, scene), reason
+            if not token.startswith(SWEEP):
+                token = part.renaming.token("sample", token)
+            yield token, part.renaming.scenes.get(scene, scene), reason
 
 
 def _text(part: Part, name: str) -> str:

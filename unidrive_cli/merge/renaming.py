@@ -13,6 +13,8 @@ from unidrive_cli.tables.schema import TABLES
 from unidrive_cli.tables.tokens import moved_token
 
 _TOKEN_FIELD = re.compile(r"(?:first_|last_)?(?P<table>.+)_tokens?")
+FILE_FIELDS = ("filename", "info_filename")
+"""Fields that name a file; the second one is T4's."""
 _ALIASES = {"annotation": "sample_annotation"}
 
 
@@ -70,12 +72,12 @@ class Renaming:
         for name in {*fields, *(get_type_hints(TABLES[table]) if table in TABLES else ())}:
             if target_of(table, name, known) in changing:
                 return True
-            if name == "filename" and (self.suffix or self.files):
+            if name in FILE_FIELDS and (self.suffix or self.files):
                 return True
         return table == "scene" and bool(self.scenes)
 
     def _value(self, table: str, name: str, value: Any, known: Collection[str]) -> Any:
-        if name == "filename" and isinstance(value, str):
+        if name in FILE_FIELDS and value and isinstance(value, str):
             return self.file(table, value)
         if name == "name" and table == "scene":
             return self.scenes.get(value, value)

@@ -196,6 +196,7 @@ class _Carrier:
         for row, is_picture in zip(parts_of(dataset.sample_data), dataset.of_cameras.tolist(), strict=True):
             new = part.renaming.data_file(row.filename)
             yield row.filename, new, is_picture
+            yield from ((name, part.renaming.data_file(name), False) for name in row.files[1:])
             if is_picture and self._plan.masks == "frame":
                 mask = mask_name(row.filename)
                 if kind == "camera":
