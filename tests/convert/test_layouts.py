@@ -405,3 +405,16 @@ def test_two_files_of_one_name_are_refused(drive: Path, rig: Path, tmp_path: Pat
     run = unidrive("convert", source, tmp_path / "out", "--rig", rig, "--dry-run")
     assert run.code == 3
     assert f"the files {first['filename']} and {second['filename']} would both become samples/LIDAR_TOP/" in run.said
+
+
+def test_all_of_them_merge(outputs: dict[str, tuple[Path, Run]], tmp_path: Path) -> None:
+    """Of one painted drive, with tokens and names in common; its scenes are there once per layout."""
+    names = ("lyft", "t4", "truckscenes", "carla", "unidrive")
+    out = tmp_path / "out"
+    run = unidrive("merge", *(outputs[name][0] for name in names), "--out", out, "--version", "v1.0-trainval")
+    assert run.code == 0, run.stderr
+    checked = unidrive("validate", out)
+    assert checked.code == 0, checked.stdout
+    for table in ("sample", "sample_annotation", "image_annotations"):
+        counts = [len(rows(outputs[name][0], table, LAYOUTS[name][2])) for name in names]
+        assert len(rows(out, table, "v1.0-trainval")) == sum(counts) > 0
