@@ -336,6 +336,24 @@ def test_extra_tables_maps_and_can_bus(fleet: Fleet, default: Path, out: Path, t
     refused(2, "are labelled by other numbers", *places, out=tmp_path / "labels")
 
 
+def test_names_that_differ_only_by_case_are_taken(fleet: Fleet, out: Path, tmp_path: Path) -> None:
+    """On some disks they are one file."""
+    taken = rows_of(fleet.training, "lidar")[0]["filename"]
+    own = rows_of(fleet.validation, "lidar")[0]["filename"]
+    name = f"{Path(taken).parent}/{Path(taken).name.upper()}"
+    other = edited(
+        fleet.validation,
+        tmp_path / "other",
+        "sample_data",
+        lambda found: [row.update(filename=name) for row in found if row["filename"] == own],
+    )
+    (other / own).rename(other / name)
+    merged(fleet.training, other, "--out", out)
+    names = [row["filename"] for row in rows(out, "sample_data")]
+    assert len({found.lower() for found in names}) == len(names)
+    assert sum("-2__" in found for found in names) == len(rows(other, "sample_data"))
+
+
 def test_splits_of_files_are_joined(fleet: Fleet, out: Path, tmp_path: Path) -> None:
     """A scene that only a file's split names, with one of nuScenes' own."""
     garage = edited(fleet.training, tmp_path / "garage", "scene", lambda found: found[0].update(name="garage"))

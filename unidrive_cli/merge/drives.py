@@ -50,7 +50,7 @@ class Drive:
     Attributes:
         source: the dataset.
         tokens: hashes of all tokens, by table.
-        files: hashes of the file names in sample_data.
+        files: hashes of the file names in sample_data, in lower case: on some disks others are the same.
         timestamps: (n,) of the samples.
         centres: (n, 3) where the car was, metres, in the global frame; NaN where a sample has no picture.
         pictures: the names of every sample's pictures.
@@ -91,7 +91,7 @@ def _tokens(table: Table[Any]) -> Hashes:
 
 
 def _names(source: Input, dataset: Dataset, pictures: list[list[str]], poses: Any) -> Iterator[str]:
-    """The file names of sample_data; fills in every sample's pictures, and where its first one's pose stands."""
+    """The file names of sample_data in lower case; fills in every sample's pictures, and its first one's pose."""
     table, cameras = dataset.sample_data, source.made.rig["cameras"]
     of_sample, of_pose = table.links("sample_token", dataset.sample), table.links("ego_pose_token", dataset.ego_pose)
     for row, sample, pose, is_picture in zip(
@@ -115,4 +115,4 @@ def _names(source: Input, dataset: Dataset, pictures: list[list[str]], poses: An
                 pictures[sample].append(row.filename)
                 if poses[sample] < 0:
                     poses[sample] = pose
-        yield from row.files
+        yield from map(str.lower, row.files)

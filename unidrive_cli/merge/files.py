@@ -25,7 +25,7 @@ CAN_BUS = "can_bus"
 
 @dataclass
 class FileNames:
-    """The names that are taken.
+    """The names that are taken; those that differ only by case count as the same.
 
     Attributes:
         version: of the output: label files lie in a folder of that name.
@@ -46,12 +46,12 @@ class FileNames:
         """
         renaming.suffix, hashes = self._suffix(drive, dataset)
         named = self._named(dataset)
-        are_data = np.isin(short_hashes(named), drive.files)
+        are_data = np.isin(short_hashes(map(str.lower, named)), drive.files)
         renaming.data_files = frozenset(
             name for name, is_data in zip(named, are_data.tolist(), strict=True) if is_data
         )
         wanted = {name: self._wanted(name, dataset.version) for name in named if name not in renaming.data_files}
-        are_taken = np.isin(short_hashes(wanted.values()), np.concatenate([*self._data, hashes]))
+        are_taken = np.isin(short_hashes(map(str.lower, wanted.values())), np.concatenate([*self._data, hashes]))
         self._data.append(hashes)
         carried = {
             name: self._free(dataset.root / name, new, is_taken=is_taken)
@@ -61,7 +61,7 @@ class FileNames:
         for name in _unnamed(dataset):
             if name not in carried:
                 new = _of_scene(name, renaming.scenes)
-                if _same(self._others.setdefault(new, dataset.root / name), dataset.root / name):
+                if _same(self._others.setdefault(new.lower(), dataset.root / name), dataset.root / name):
                     carried[name] = new
                 else:
                     left.append(name)
@@ -76,7 +76,7 @@ class FileNames:
         for number in itertools.count(len(self._data) + 1):
             suffix = f"-{number}"
             rows = parts_of(dataset.sample_data)
-            hashes = short_hashes(suffixed(name, suffix) for row in rows for name in row.files)
+            hashes = short_hashes(suffixed(name, suffix).lower() for row in rows for name in row.files)
             if not np.isin(hashes, taken).any():
                 return suffix, hashes
         raise AssertionError("unreachable: numbers do not end")
@@ -103,7 +103,7 @@ class FileNames:
         """A name under which no other file lies than this one."""
         names = (suffixed(wanted, f"-{number}") for number in itertools.count(2))
         for name in names if is_taken else itertools.chain([wanted], names):
-            if _same(self._others.setdefault(name, source), source):
+            if _same(self._others.setdefault(name.lower(), source), source):
                 return name
         raise AssertionError("unreachable: numbers do not end")
 
@@ -112,9 +112,14 @@ def _unnamed(dataset: Dataset) -> Iterator[str]:
     """Files that go along though no table names them."""
     yield from (name for name in dataset.layout.top_files if (dataset.root / name).is_file())
     for folder in CARRIED_FOLDERS:
-        for path, folders, files in os.walk(dataset.root / folder):
+        for path, folders, files in os.walk(dataset.root / folder, onerror=_refuse):
             folders.sort()
             yield from ((Path(path) / name).relative_to(dataset.root).as_posix() for name in sorted(files))
+
+
+def _refuse(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError):
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename)) from error
 
 
 def _of_scene(name: str, scenes: dict[str, str]) -> str:
