@@ -1,7 +1,7 @@
 """What merging costs where tables are large, against finishing one conversion of the same size.
 
     python benchmarks/make_trainval_tables.py SRC1 --scale 0.06 --files all
-    python benchmarks/make_trainval_tables.py SRC2 --scale 0.06 --files all --seed 1
+    python benchmarks/make_trainval_tables.py SRC2 --scale 0.06 --files all --seed 2
     python benchmarks/make_trainval_tables.py SRC --scale 0.12 --files all
     python benchmarks/merge.py WORK SRC --merge SRC1 SRC2
 

@@ -464,7 +464,14 @@ def test_version_folders_of_two_names(fleet: Fleet, out: Path, tmp_path: Path) -
     other = Path(shutil.copytree(fleet.validation, tmp_path / "other"))
     (other / VERSION).rename(other / "v1.0-trainval")
     refused(2, "the version folders have several names", fleet.training, other, out=out)
-    refused(2, "is no name for a folder", fleet.training, other, out=out, options=("--version", "a/b"))
+    refused(
+        2,
+        "--version a/b: that cannot be a version folder",
+        fleet.training,
+        other,
+        out=out,
+        options=("--version", "a/b"),
+    )
     run = merge(fleet.training, other, "--out", out, "--version", "v1.0-trainval")
     assert run.code == 0, run.stderr
     assert_consistent(out, "v1.0-trainval")

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from unidrive_cli.errors import UsageError
-from unidrive_cli.tables.destination import RESERVED
 from unidrive_cli.warp.choices import Codec, Kernel, WarpChoices
 
 Masks = Literal["frame", "camera", "none"]
@@ -18,11 +17,22 @@ UnseenBoxes = Literal["keep", "drop"]
 LowCoverage = Literal["drop-camera", "drop-picture", "keep"]
 OnError = Literal["stop", "skip"]
 Backend = Literal["processes", "dask"]
-_TAKEN = (*RESERVED, "samples", "sweeps", "data", "maps", "map", "can_bus", "lidarseg", "panoptic")
+_TAKEN = ("samples", "sweeps", "data", "maps", "map", "can_bus", "lidarseg", "panoptic")
 
 
-def _is_folder_name(name: str) -> bool:
-    return re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name) is not None and name not in _TAKEN
+def check_version_name(name: str, option: str) -> None:
+    """Refuses a name that the version folder of an output cannot have.
+
+    Args:
+        option: that gave it.
+
+    Raises:
+        UsageError: it cannot be a folder, or is another one.
+    """
+    from unidrive_cli.tables.destination import RESERVED  # for which msgspec is loaded
+
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name) is None or name in (*RESERVED, *_TAKEN):
+        raise UsageError(f"{option} {name}: that cannot be a version folder.", hint="v1.0-trainval can.")
 
 
 @dataclass(frozen=True)
@@ -82,11 +92,8 @@ class Options(WarpChoices):
         super().__post_init__()
         if self.max_samples is not None and self.max_samples < 1:
             raise UsageError(f"--max-samples must be 1 or more, got {self.max_samples}.")
-        if self.output_version and not _is_folder_name(self.output_version):
-            raise UsageError(
-                f"--output-version {self.output_version}: that cannot be a version folder.",
-                hint="v1.0-trainval can.",
-            )
+        if self.output_version:
+            check_version_name(self.output_version, "--output-version")
         if self.output_version and self.keep_layout:
             raise UsageError("--output-version and --keep-layout exclude each other.")
         if not 0 <= self.min_coverage <= 1:

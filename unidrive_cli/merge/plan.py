@@ -15,7 +15,7 @@ import numpy as np
 
 from unidrive_cli import __version__
 from unidrive_cli.check.references import check_references
-from unidrive_cli.convert.options import Link, VerifyLevel
+from unidrive_cli.convert.options import Link, VerifyLevel, check_version_name
 from unidrive_cli.errors import DatasetError, UsageError
 from unidrive_cli.merge.drives import DRIVEN, Drive, drive_of
 from unidrive_cli.merge.files import FileNames
@@ -231,8 +231,7 @@ def _version(inputs: Sequence[Input], version: str | None) -> str:
             names = ", ".join(f"{name} in {root}" for name, root in found.items())
             raise UsageError(f"the version folders have several names: {names}.", hint="Choose one with --version.")
         return next(iter(found))
-    if not version.strip(".") or "/" in version or "\0" in version or len(version) > 100:
-        raise UsageError(f"--version {version[:100]!r} is no name for a folder.")
+    check_version_name(version, "--version")
     return version
 
 
@@ -256,7 +255,7 @@ def _refuse_twice(drive: Drive, other: Drive, position: int) -> list[str]:
     ).all(1)
     if not alike.any():
         return []
-    sample = int(np.flatnonzero(alike)[0])
+    sample = int(np.flatnonzero(alike)[-1])  # two drives may begin alike, where a simulator puts the car
     here, there = drive.source, other.source
     sources = [{leaf.source_digest for leaf in one.made.leaves} for one in (here, there)]
     what = f"{here.root} holds scenes that {there.root} holds too ({drive.pictures[mine[sample]][0]} is of both)"
@@ -267,7 +266,9 @@ def _refuse_twice(drive: Drive, other: Drive, position: int) -> list[str]:
             f"{what}; whether other cameras recorded them is not to be told, because they were converted otherwise.",
             hint="Convert both with the same options, or one of them without these scenes (--scene).",
         )
-    return [f"Dataset {position}: {int(alike.sum())} samples are moments of an earlier one, seen by other cameras."]
+    count = int(np.count_nonzero(alike))
+    samples = "1 sample is a moment" if count == 1 else f"{count} samples are moments"
+    return [f"Dataset {position}: {samples} of an earlier one, seen by other cameras."]
 
 
 def _same_pictures(drive: Drive, other: Drive, sample: int, others_sample: int) -> bool:
