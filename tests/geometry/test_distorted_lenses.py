@@ -32,6 +32,8 @@ STRONG: dict[str, Lens] = {
     "rational": lens_of(WIDE, "opencv", [0.5, 0.2, 1e-4, 1e-4, 0.01, 0.8, 0.3, 0.02]),
     "pole": lens_of(WIDE, "opencv", [0.1, 0, 0, 0, 0, -0.9, 0, 0]),
     "prism": lens_of(ODD, "opencv", [-0.2, 0.05, 1e-3, -1e-3, 0.01, 0, 0, 0, 0.01, -0.002, 0.005, 0.001]),
+    "tilted": lens_of(WIDE, "opencv", [-0.2, 0.05, 1e-3, -1e-3, 0, 0, 0, 0, 0, 0, 0, 0, 0.05, -0.08]),
+    "tilted by much": lens_of(ODD, "opencv", [0.0] * 12 + [-0.5, 0.3]),
     "fisheye of 117 degrees": lens_of(WIDE, "fisheye", [-0.02, 0.003, -0.001, 1e-4]),
     "fisheye of 177 degrees": lens_of(
         Pinhole(480, 480, 799.5, 449.5, 1600, 900), "fisheye", [0.05, -0.01, 2e-3, -3e-4]
@@ -107,6 +109,8 @@ def opencv_lenses(draw: st.DrawFn) -> Lens:
     k += draw(st.sampled_from([[], [draw(reals(-0.2, 0.2)), draw(reals(-0.05, 0.05)), draw(reals(-0.01, 0.01))]]))
     if len(k) == 8:
         k += draw(st.sampled_from([[], [draw(reals(-5e-3, 5e-3)) for _ in range(4)]]))
+    if len(k) == 12:
+        k += draw(st.sampled_from([[], [draw(reals(-0.1, 0.1)), draw(reals(-0.1, 0.1))]]))
     return made(pinhole, "opencv", k)
 
 
@@ -352,10 +356,10 @@ def test_without_distortion_border_sine_inside_is_the_pinholes(pinhole: Pinhole,
 @pytest.mark.parametrize(
     ("model", "coefficients", "sentence"),
     [
-        ("opencv", [0.1, 0, 0], "4, 5, 8, 12 coefficients .* got 3"),
+        ("opencv", [0.1, 0, 0], "4, 5, 8, 12, 14 coefficients .* got 3"),
         ("opencv", [0.1] * 6, "got 6"),
         ("opencv", [0.0] * 13, "got 13"),
-        ("opencv", [0.0] * 13 + [0.01], "tilted sensor"),
+        ("opencv", [0.0] * 13 + [1.1], r"tilted by at most 1 radian .* got \(0.0, 1.1\)"),
         ("opencv", [0.1, np.nan, 0, 0], "finite"),
         ("opencv", [0.1, "x", 0, 0], "numbers"),
         ("opencv", [-50, 0, 0, 0], r"folds back 4.67 degrees off the axis, 43.5 pixels .* k1 k2 p1 p2"),

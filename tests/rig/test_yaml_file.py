@@ -193,11 +193,11 @@ def distortion(text: str) -> tuple[str, str]:
         (*distortion("{model: 4, coefficients: []}"), 10, FRONT, ["model must be opencv or fisheye, got 4"]),
         (*distortion("\n      model: fisheye\n      coefficients: [0, 0, 0, 0, 0]"), 12, FRONT,
             ["coefficients do not fit", "4 coefficients (k1 k2 k3 k4), got 5"]),
-        (*distortion("{model: opencv, coefficients: [1, 2, 3]}"), 10, FRONT, ["4, 5, 8, 12 coefficients", "got 3"]),
+        (*distortion("{model: opencv, coefficients: [1, 2, 3]}"), 10, FRONT, ["4, 5, 8, 12, 14 coeff", "got 3"]),
         (*distortion("{model: opencv, coefficients: 0.1}"), 10, FRONT, ["coefficients must be a list of numbers"]),
         (*distortion("{model: opencv, coefficients: [.nan, 0, 0, 0]}"), 10, FRONT, ["coefficients", "finite"]),
         (*distortion("{model: opencv, coefficients: [a, 0, 0, 0]}"), 10, FRONT, ["coefficients", "number", "'a'"]),
-        (*distortion("{model: opencv, coefficients: [0,0,0,0,0,0,0,0,0,0,0,0,1,0]}"), 10, FRONT, ["tilted sensor"]),
+        (*distortion("{model: opencv, coefficients: [0,0,0,0,0,0,0,0,0,0,0,0,2,0]}"), 10, FRONT, ["is tilted by"]),
         (*distortion("{model: opencv, coefficients: [-90, 0, 0, 0]}"), 10, FRONT, ["folds back", "pixels"]),
         # not YAML
         ("    width: 1600", "\twidth: 1600", 5, TOP, ["not valid YAML"]),

@@ -1,4 +1,4 @@
-"""OpenCV's standard lens: radial (also rational), tangential and thin-prism distortion."""
+"""OpenCV's standard lens: radial (also rational), tangential and thin-prism distortion, and a tilted sensor."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from unidrive_cli.geometry.lenses.distorted import DistortedLens
 from unidrive_cli.geometry.lenses.increasing import first_positive_root, inverse_of_increasing
 
 _WIDEST_RAD = math.radians(89.9)
+_LARGEST_TILT_RAD = 1.0
 _NODES = 1024
 _DIRECTIONS = 128
 _NEWTON_STEPS = 40
@@ -24,7 +25,7 @@ _RESIDUAL = 1e-13
 
 @dataclass(frozen=True)
 class OpenCVLens(DistortedLens):
-    """A lens after `cv2.projectPoints`: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]].
+    """A lens after `cv2.projectPoints`: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]].
 
     With x = X/Z, y = Y/Z and s = x^2 + y^2 a point falls, in focal lengths from the principal point, on
 
@@ -32,24 +33,37 @@ class OpenCVLens(DistortedLens):
         y g(s) + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2
         g(s) = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)
 
-    `coefficients` always holds the twelve of them.
+    A sensor that is tilted by tau_x and tau_y (radians) about its axes is a homography after that.
+    `coefficients` always holds the first twelve of them, and the angles where there are any.
     """
 
     model = "opencv"
-    counts = (4, 5, 8, 12)
-    names = "k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]"
+    counts = (4, 5, 8, 12, 14)
+    names = "k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]]"
 
     def _checked(self, given: Sequence[float]) -> tuple[float, ...]:
-        if len(given) == 14:
-            if any(given[12:]):
-                raise GeometryError("a tilted sensor (coefficients 13 and 14, tau_x and tau_y) is not supported.")
-            given = given[:12]
         checked = super()._checked(given)
-        return (*checked, *[0.0] * (12 - len(checked)))
+        if max(map(abs, checked[12:]), default=0.0) > _LARGEST_TILT_RAD:
+            raise GeometryError(
+                f"a sensor is tilted by at most {_LARGEST_TILT_RAD:g} radian (tau_x and tau_y), got {checked[12:]}."
+            )
+        return checked if any(checked[12:]) else (*checked[:12], *[0.0] * (12 - len(checked)))
+
+    @cached_property
+    def tilt(self) -> Float | None:
+        """The homography (3, 3) from the sensor's place without tilt to the tilted sensor; None without tilt."""
+        if not self.coefficients[12:]:
+            return None
+        (sin_x, sin_y), (cos_x, cos_y) = np.sin(self.coefficients[12:]), np.cos(self.coefficients[12:])
+        about_x = np.array([[1, 0, 0], [0, cos_x, sin_x], [0, -sin_x, cos_x]])
+        about_y = np.array([[cos_y, 0, -sin_y], [0, 1, 0], [sin_y, 0, cos_y]])
+        turn = about_y @ about_x
+        onto: Float = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+        return onto
 
     @cached_property
     def _is_radial(self) -> bool:
-        return not any(self.coefficients[2:4] + self.coefficients[8:])
+        return not any(self.coefficients[2:4] + self.coefficients[8:12])
 
     @cached_property
     def _radial(self) -> tuple[Float, Float]:
@@ -129,7 +143,7 @@ class OpenCVLens(DistortedLens):
         if self._is_radial:
             return x * g, y * g
         p1, p2 = self.coefficients[2:4]
-        s1, s2, s3, s4 = self.coefficients[8:]
+        s1, s2, s3, s4 = self.coefficients[8:12]
         return (
             x * g + 2 * p1 * x * y + p2 * (s + 2 * x * x) + s * (s1 + s2 * s),
             y * g + p1 * (s + 2 * y * y) + 2 * p2 * x * y + s * (s3 + s4 * s),
@@ -139,7 +153,7 @@ class OpenCVLens(DistortedLens):
         """d u/dx, d u/dy, d v/dx, d v/dy (n,) of `_bend` at (n, 2)."""
         x, y = xy[:, 0], xy[:, 1]
         p1, p2 = self.coefficients[2:4]
-        s1, s2, s3, s4 = self.coefficients[8:]
+        s1, s2, s3, s4 = self.coefficients[8:12]
         s: Float = np.square(x) + np.square(y)
         g, slope = self._g(s)
         shared = 2 * (x * y * slope + p1 * x + p2 * y)
@@ -158,9 +172,22 @@ class OpenCVLens(DistortedLens):
             x, y = x / depth, y / depth
             in_model = (z > 0) & (x * x + y * y < self._limit**2)
         x, y = np.where(in_model, x, 0.0), np.where(in_model, y, 0.0)
-        return np.stack(self._bend(x, y), axis=-1), in_model
+        plane = np.stack(self._bend(x, y), axis=-1)
+        if self.tilt is not None:
+            plane, before = _mapped(self.tilt, plane)
+            in_model &= before
+        return plane, in_model
 
     def _undistort(self, plane: Float) -> Float:
+        if self.tilt is None:
+            return self._undistort_level(plane)
+        level, before = _mapped(np.linalg.inv(self.tilt), plane)
+        rays = self._undistort_level(level)
+        rays[~before] = np.nan
+        return rays
+
+    def _undistort_level(self, plane: Float) -> Float:
+        """As `_undistort`, of a sensor without tilt."""
         radius = np.hypot(plane[:, 0], plane[:, 1])
         r = inverse_of_increasing(self._profile, self._nodes, radius)
         xy = plane * (r / np.where(radius > 0, radius, 1.0))[:, None]
@@ -199,7 +226,7 @@ class OpenCVLens(DistortedLens):
                 )
                 better = xy - step * (share / determinant)[:, None]
                 outside = np.maximum(lengths(better) / self._limit, 1.0)
-            better /= outside[:, None]
+                better /= outside[:, None]
             new_residual = np.stack(self._bend(better[:, 0], better[:, 1]), axis=-1) - target
             nearer = lengths(new_residual) < lengths(residual)
             xy = np.where(nearer[:, None], better, xy)
@@ -215,3 +242,11 @@ class OpenCVLens(DistortedLens):
             at, xy, target, residual, share = at[going], xy[going], target[going], residual[going], share[going]
         result[~(lengths(result) < self._limit)] = np.nan
         return result
+
+
+def _mapped(homography: Float, plane: Float) -> tuple[Float, Bool]:
+    """Points (..., 2) of a plane through a homography (3, 3), and which (...) stay on this side of it."""
+    x, y, depth = np.moveaxis(plane @ homography[:, :2].T + homography[:, 2], -1, 0)
+    before: Bool = depth > 0
+    depth = np.where(before, depth, 1.0)
+    return np.stack([x / depth, y / depth], axis=-1), before
