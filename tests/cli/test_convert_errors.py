@@ -377,10 +377,33 @@ def test_intrinsics_are_no_pinhole(bench: Bench, matrix: list[list[float]], word
     bench.refused(3, f"{VERSION}/calibrated_sensor.json, token {token}, field camera_intrinsic", words)
 
 
-def test_pictures_with_lens_distortion_are_not_taken_for_rectified(bench: Bench) -> None:
+def test_distortion_that_is_none(bench: Bench) -> None:
     token = rows(bench.src, "calibrated_sensor")[0]["token"]
-    bench.edit("calibrated_sensor", lambda found: found[0].update(camera_distortion=[0.1, 0, 0, 0, 0]))
-    bench.refused(3, f"token {token}, field camera_distortion", "lens distortion")
+    bench.edit("calibrated_sensor", lambda found: found[0].update(camera_distortion=[0.1, 0, 0]))
+    place = f"{VERSION}/calibrated_sensor.json, token {token}, field camera_distortion"
+    bench.refused(3, place, "the lens model opencv has 4, 5, 8, 12", "got 3")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("CAM_FRONT: [", ("lenses.yaml", "is not valid YAML")),
+        (
+            "CAM_TOP: {model: fisheye, coefficients: [0, 0, 0, 0]}",
+            ("CAM_TOP, line 1", "no such camera", "Did you mean CAM_FRONT?"),
+        ),
+        ("CAM_FRONT: {model: opencv, coefficients: [1]}", ("CAM_FRONT, line 1", "has 4, 5, 8, 12", "got 1")),
+        ("CAM_FRONT: {model: opencv, coefficients: [0, 0, 0, 0.1]}", ("is not the lens that the dataset gives",)),
+    ],
+)
+def test_a_mistake_in_a_file_of_lenses(bench: Bench, text: str, words: tuple[str, ...]) -> None:
+    sensor = next(row["token"] for row in rows(bench.src, "sensor") if row["channel"] == "CAM_FRONT")
+    bench.edit(
+        "calibrated_sensor",
+        lambda found: [r.update(camera_distortion=[0.1, 0, 0, 0]) for r in found if r["sensor_token"] == sensor],
+    )
+    (bench.folder / "lenses.yaml").write_text(text)
+    bench.refused(2, *words, options=("--lenses", bench.folder / "lenses.yaml"))
 
 
 @pytest.mark.parametrize(("width", "height"), [(-80, 45), (100_000, 45)])

@@ -187,12 +187,6 @@ def test_poses_and_lens(tmp_path: Path) -> None:
         ("ego_pose", {"rotation": [0, 0, 0, 0]}, "pose", "token ego-s0, field rotation: .*zero norm"),
         ("calibrated_sensor", {"camera_intrinsic": []}, "lens", "field camera_intrinsic: .*shape 3x3"),
         ("calibrated_sensor", {"camera_intrinsic": [[0, 0, 1], [0, 5, 1], [0, 0, 1]]}, "lens", "positive"),
-        (
-            "calibrated_sensor",
-            {"camera_distortion": [0.1, 0, 0, 0]},
-            "lens",
-            "field camera_distortion: .*distortion",
-        ),
     ],
 )
 def test_broken_rows_are_named_when_they_are_asked_for(
@@ -211,13 +205,6 @@ def test_broken_rows_are_named_when_they_are_asked_for(
     assert str(caught.value).startswith(
         f"{tmp_path / VERSION / table}.json, token {made[table][0]['token']}, field "
     )
-
-
-def test_distortion_of_nothing_is_no_distortion(tmp_path: Path) -> None:
-    made = tables()
-    made["calibrated_sensor"][0]["camera_distortion"] = [0.0, 0, 0, 0, 0]
-    dataset = open_dataset(write(tmp_path, made))
-    assert dataset.lens(dataset.calibrated_sensor.rows[0], 1600, 900).fx_px == 800
 
 
 @pytest.mark.parametrize(

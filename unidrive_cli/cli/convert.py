@@ -26,6 +26,7 @@ from unidrive_cli.cli.shared import (
     JOBS,
     JSON,
     LAYOUT,
+    LENSES,
     MAX_SAMPLES,
     RIG_HELP,
     SCENES,
@@ -111,6 +112,7 @@ def convert_command(
     split: list[str] = SPLITS,
     max_samples: int | None = MAX_SAMPLES,
     camera: list[str] = CAMERAS,
+    lenses: Path | None = LENSES,
     depth_limit: float | None = DEPTH_LIMIT,
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
@@ -169,7 +171,7 @@ def convert_command(
         src.absolute() if backend == "dask" else src,
         dst,
         rig,
-        (version, layout),
+        (version, layout, lenses),
         (depth_limit, ground_height, blend, ego_motion, anti_alias),
         (common_with, common_sweep),
         quality=quality,
@@ -219,7 +221,7 @@ def planned(
     src: Path,
     dst: Path,
     rig: str,
-    source: tuple[str | None, str | None],
+    source: tuple[str | None, str | None, Path | None],
     warp: tuple[float | None, float | None, Blend, bool, bool],
     common_with: tuple[list[str], float | None],
     **chosen: Any,
@@ -227,7 +229,7 @@ def planned(
     """The plan of a conversion, from a command's options; what was found out about the rig goes to stderr.
 
     Args:
-        source: version and layout of SRC, as given.
+        source: version, layout and file of lenses of SRC, as given.
         warp: depth limit, ground height, blend, ego motion, anti-aliasing, as given.
         common_with: rigs that must fill what is shown, and the sweep, as given.
         chosen: the other `Options`.
@@ -237,6 +239,7 @@ def planned(
     from unidrive_cli.convert.run import prepare_workers
     from unidrive_cli.tables.dataset import open_dataset
     from unidrive_cli.tables.destination import check_apart
+    from unidrive_cli.tables.lenses import read_lenses
     from unidrive_cli.tables.rig_of_dataset import resolve_fleet, resolve_rig
     from unidrive_cli.warp.common import DEFAULT_SWEEP_M
     from unidrive_cli.warp.pictures import size_of_file
@@ -253,8 +256,8 @@ def planned(
     if sweep_m is not None and not rigs:
         raise UsageError("--common-sweep goes with --common-with, or with a fleet file that names `common`.")
     common = Common(tuple(rigs), DEFAULT_SWEEP_M if sweep_m is None else sweep_m) if rigs else None
-    version, layout = source
-    dataset = open_dataset(src, version, layout=layout)
+    version, layout, lenses = source
+    dataset = open_dataset(src, version, layout=layout, lenses=read_lenses(lenses) if lenses else None)
     say_layout(dataset.layout, dataset.folder, layout)
     prepare_workers(options)
     plan = make_plan(dataset, fleet.virtual, options, common)

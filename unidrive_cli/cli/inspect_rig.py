@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +19,7 @@ from unidrive_cli.cli.shared import (
     GROUND_HEIGHT,
     JSON,
     LAYOUT,
+    LENSES,
     SCENES,
     VERSION,
     guarded,
@@ -26,6 +28,7 @@ from unidrive_cli.cli.shared import (
     say_table,
     warp_choices,
 )
+from unidrive_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from unidrive_cli.rig.inspection import RigFacts
@@ -50,6 +53,7 @@ def inspect_rig_command(
     version: str | None = VERSION,
     layout: str | None = LAYOUT,
     scene: list[str] = SCENES,
+    lenses: Path | None = LENSES,
     as_json: bool = JSON,
     config: Path | None = CONFIG,
     debug: bool = DEBUG,
@@ -59,20 +63,25 @@ def inspect_rig_command(
     Of a fleet: the virtual rig, how much of each virtual camera each car fills, and what they have in common.
     """
     from unidrive_cli.rig.inspection import inspect_rig
+    from unidrive_cli.tables.lenses import read_lenses
     from unidrive_cli.tables.rig_of_dataset import dataset_meant, resolve_fleet, resolve_rig, rig_of_dataset
     from unidrive_cli.warp.common import DEFAULT_SWEEP_M, fill
     from unidrive_cli.warp.pictures import size_of_file
     from unidrive_cli.warp.remap import virtual_views
 
+    given = None if lenses is None else read_lenses(lenses)
+    datasets = sum(os.path.isdir(name) for name in (rig, *against))  # noqa: PTH112 (a name may be too long for Path)
+    if given and datasets != 1:
+        raise UsageError(f"--lenses are those of one dataset; {datasets} are named.")
     rigs: list[Rig] = []
-    if dataset := dataset_meant(rig, version, layout):
+    if dataset := dataset_meant(rig, version, layout, given):
         say_layout(dataset.layout, dataset.folder, layout)
         found, notes = rig_of_dataset(dataset, tuple(scene), size_of_file)
     else:
         fleet, notes = resolve_fleet(rig, size_of_file)
         found, rigs = fleet.virtual, list(fleet.sources)
     for name in against:
-        real, more = resolve_rig(name, size_of_file=size_of_file)
+        real, more = resolve_rig(name, size_of_file=size_of_file, lenses=given)
         rigs.append(real)
         notes.extend(more)
     facts = inspect_rig(found)

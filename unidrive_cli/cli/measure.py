@@ -23,6 +23,7 @@ from unidrive_cli.cli.shared import (
     JOBS,
     JSON,
     LAYOUT,
+    LENSES,
     RIG_HELP,
     SCENES,
     VERSION,
@@ -66,6 +67,7 @@ def measure_command(
     layout: str | None = LAYOUT,
     scene: list[str] = SCENES,
     camera: list[str] = CAMERAS,
+    lenses: Path | None = LENSES,
     depth_limit: float | None = DEPTH_LIMIT,
     ground_height: float | None = GROUND_HEIGHT,
     blend: Blend = BLEND,
@@ -87,6 +89,7 @@ def measure_command(
     from unidrive_cli.measure.projection import measure_projection
     from unidrive_cli.measure.truth import measure_converted, measure_rendered
     from unidrive_cli.tables.dataset import open_dataset
+    from unidrive_cli.tables.lenses import read_lenses
     from unidrive_cli.tables.rig_of_dataset import open_named, resolve_fleet
     from unidrive_cli.warp.pictures import size_of_file
 
@@ -99,11 +102,16 @@ def measure_command(
                 hint="Give --rig RIG for the projection error of SRC, or --truth TRUTH for a converted dataset.",
             )
         _refuse_choices(context)
+        if lenses is not None and source is None:
+            raise UsageError("--lenses are SRC's: without --rig they go with --source.")
     elif source is not None:
         raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
     elif truth is None and (given := _on_the_command_line(context) & {"blend", "anti_alias"}):
         name = min(given).replace("_", "-")
         raise UsageError(f"--{name} goes with --truth; the projection error is that of the angular blend.")
+    if lenses is not None and len(datasets) > 1:
+        raise UsageError(f"--lenses are those of one dataset; {len(datasets)} are given.")
+    of_source = None if lenses is None else read_lenses(lenses)
     compared: TruthReport | None = None
     projected: ProjectionReport | None = None
     notes: list[str] = []
@@ -113,7 +121,7 @@ def measure_command(
             compared = measure_converted(
                 open_dataset(datasets[0], version),
                 open_named(truth),
-                source=None if source is None else open_named(source),
+                source=None if source is None else open_named(source, lenses=of_source),
                 scenes=tuple(scene),
                 jobs=workers,
                 progress=progress,
@@ -124,7 +132,7 @@ def measure_command(
         choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion, anti_alias)
         alone = len(datasets) == 1
         open_one = open_dataset if alone else open_named
-        opened = [open_one(one, version, layout=layout) for one in datasets]
+        opened = [open_one(one, version, layout=layout, lenses=of_source) for one in datasets]
         for dataset in opened:
             say_layout(dataset.layout, dataset.folder, layout)
         if truth is not None:

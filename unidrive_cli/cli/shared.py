@@ -136,6 +136,12 @@ SPLITS = option(
 )
 MAX_SAMPLES = option(None, "--max-samples", help="Only the first N samples, by scene and time.")
 CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
+LENSES = option(
+    None,
+    "--lenses",
+    help="YAML file of SRC's lenses by channel, where its tables do not say them (docs/lenses.md).",
+    show_default=False,
+)
 RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, a dataset folder, or a fleet file."
 COMMON_WITH = option(
     [], "--common-with", help="Blacken what this rig or dataset cannot fill (repeatable).", show_default=False

@@ -138,6 +138,7 @@ class Plan:
     @cached_property
     def identity(self) -> dict[str, Any]:
         """What the output depends on; the plan's digest names it."""
+        lenses = {channel: lens.identity for channel, lens in self.dataset.lenses.items()}
         return {
             "method": METHOD,
             "version": __version__,
@@ -145,6 +146,7 @@ class Plan:
                 "version": self.dataset.version,
                 "digest": self.dataset.digest,
                 "layout": self.dataset.layout.name,
+                **({"lenses": lenses} if lenses else {}),
             },
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
             "options": self.options.identity() | (self.common.identity() if self.common else {}),

@@ -50,7 +50,7 @@ _CAMERA_KEYS = (
     "rotation",
     "distortion",
 )
-_DISTORTION_KEYS = ("model", "coefficients")
+DISTORTION_KEYS = ("model", "coefficients")
 _DISTORTION_FORM = f"{{model: {' or '.join(DISTORTED_LENSES)}, coefficients: [...]}}"
 _ORIGINS = ("rear_axle", "vehicle_centre")
 
@@ -150,11 +150,22 @@ def _distorted(entry: CommentedMap, pinhole: Pinhole, where: str) -> Lens:
     distortion = entry["distortion"]
     if not isinstance(distortion, CommentedMap):
         raise error_at(entry, "distortion", where, f"must be a mapping {_DISTORTION_FORM}, got {distortion!r:.60}.")
-    check_keys(distortion, _DISTORTION_KEYS, (), f"{where}, distortion")
-    for key in _DISTORTION_KEYS:
+    check_keys(distortion, DISTORTION_KEYS, (), f"{where}, distortion")
+    for key in DISTORTION_KEYS:
         if key not in distortion:
             raise error_at(entry, "distortion", where, f"lacks the key {key}; it is a mapping {_DISTORTION_FORM}.")
     where = f"{where}, distortion"
+    model, numbers = distortion_of(distortion, where)
+    with named(distortion, "coefficients", where, "do not fit"):
+        return lens_of(pinhole, model, numbers)
+
+
+def distortion_of(distortion: CommentedMap, where: str) -> tuple[str, list[float]]:
+    """Model and coefficients of a mapping that has both.
+
+    Raises:
+        RigError: an unknown model, or no list of numbers.
+    """
     model, values = distortion["model"], distortion["coefficients"]
     if not isinstance(model, str) or model not in DISTORTED_LENSES:
         guess = did_you_mean(str(model)[:60], DISTORTED_LENSES)
@@ -162,9 +173,7 @@ def _distorted(entry: CommentedMap, pinhole: Pinhole, where: str) -> Lens:
         raise error_at(distortion, "model", where, f"must be {known}, got {model!r:.60}. {guess}".rstrip())
     if not isinstance(values, list):
         raise error_at(distortion, "coefficients", where, f"must be a list of numbers, got {values!r:.60}.")
-    numbers = [as_number(value, distortion, "coefficients", where) for value in values]
-    with named(distortion, "coefficients", where, "do not fit"):
-        return lens_of(pinhole, model, numbers)
+    return model, [as_number(value, distortion, "coefficients", where) for value in values]
 
 
 def _rotation(entry: CommentedMap, where: str) -> Any:

@@ -7,8 +7,8 @@ import hashlib
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,14 @@ import numpy as np
 
 from unidrive_cli.errors import DatasetError, GeometryError, UsageError, did_you_mean
 from unidrive_cli.geometry.arrays import Bool, Float
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import DISTORTED_LENSES, FisheyeLens, Lens, OpenCVLens, Pinhole, lens_of
 from unidrive_cli.geometry.poses import pose, rotation_from_quaternion
 from unidrive_cli.tables.converted import refuse_unfinished
 from unidrive_cli.tables.extra import ExtraTable, extra_table_paths, read_extra_table
 from unidrive_cli.tables.lacking import completed
 from unidrive_cli.tables.layouts.base import Layout
 from unidrive_cli.tables.layouts.known import layout_named, layout_of
+from unidrive_cli.tables.lenses import GivenLens, check_channels
 from unidrive_cli.tables.paths import Inside
 from unidrive_cli.tables.scanned import SCANNED, scan_tables
 from unidrive_cli.tables.schema import (
@@ -64,6 +65,7 @@ class Dataset:
         layout: which family of datasets it is of.
         extra_tables: further `*.json` files of the version folder, by name without suffix.
         notes: what was assumed or repaired, one sentence each.
+        lenses: by channel, where a side file gives them.
     """
 
     root: Path
@@ -84,6 +86,7 @@ class Dataset:
     extra_tables: dict[str, ExtraTable]
     layout: Layout
     notes: list[str] = field(default_factory=list)
+    lenses: Mapping[str, GivenLens] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -237,22 +240,54 @@ class Dataset:
         """
         return _pose(self.sample_annotation, row)
 
-    def lens(self, row: CalibratedSensor, width_px: int, height_px: int) -> Pinhole:
-        """The lens of a camera calibration.
+    def lens(self, row: CalibratedSensor, width_px: int, height_px: int) -> Lens:
+        """The lens of a camera calibration: the table's, or the side file's.
 
         Raises:
-            DatasetError: intrinsics that are no pinhole camera, or lens distortion.
+            DatasetError: intrinsics that are no camera matrix, or distortion that is none.
+            UsageError: a lens of the side file that is none, or another one than the table's.
         """
-        if row.camera_distortion and any(row.camera_distortion):
-            raise DatasetError(
-                "the camera has lens distortion, which this version cannot convert.",
-                where=self.calibrated_sensor.place(row, "camera_distortion"),
-                hint="Rectify the pictures first.",
+        given = self.lenses.get(self.sensor_of_calibration[row.token].channel)
+        if given is None:
+            return self._lens_of_table(row, width_px, height_px)
+        try:
+            if given.intrinsics is None:
+                pinhole = self._pinhole(row, width_px, height_px)
+            else:
+                pinhole = Pinhole(*given.intrinsics, width_px, height_px)
+            lens = lens_of(pinhole, given.model, given.coefficients)
+        except GeometryError as error:
+            raise UsageError(error.what, where=given.where) from error
+        if self._is_distorted(row) and (own := self._lens_of_table(row, width_px, height_px)) != lens:
+            place = self.calibrated_sensor.place(row, "camera_distortion")
+            raise UsageError(
+                f"is not the lens that the dataset gives: {own.model} {list(own.coefficients)} ({place}).",
+                where=given.where,
+                hint="Take it out of the file, or out of the table.",
             )
+        return lens
+
+    def _lens_of_table(self, row: CalibratedSensor, width_px: int, height_px: int) -> Lens:
+        pinhole = self._pinhole(row, width_px, height_px)
+        if not self._is_distorted(row):
+            return pinhole
+        model = OpenCVLens.model if row.camera_model is None else row.camera_model
+        try:
+            return lens_of(pinhole, str(model), row.camera_distortion or ())
+        except GeometryError as error:
+            field = "camera_distortion" if model in DISTORTED_LENSES else "camera_model"
+            raise DatasetError(error.what, where=self.calibrated_sensor.place(row, field)) from error
+
+    def _pinhole(self, row: CalibratedSensor, width_px: int, height_px: int) -> Pinhole:
         try:
             return Pinhole.from_matrix(row.camera_intrinsic, width_px, height_px)
         except GeometryError as error:
             raise DatasetError(error.what, where=self.calibrated_sensor.place(row, "camera_intrinsic")) from error
+
+    @staticmethod
+    def _is_distorted(row: CalibratedSensor) -> bool:
+        """A fisheye is one even if all its coefficients are zero; other models are then the pinhole."""
+        return any(row.camera_distortion or ()) or row.camera_model == FisheyeLens.model
 
     def scenes_named(self, names: Iterable[str]) -> list[Scene]:
         """The scenes of those names, in table order; all of them where no name is given.
@@ -279,7 +314,12 @@ class Dataset:
 
 
 def open_dataset(
-    root: Path, version: str | None = None, *, layout: str | None = None, as_found: bool = False
+    root: Path,
+    version: str | None = None,
+    *,
+    layout: str | None = None,
+    as_found: bool = False,
+    lenses: Mapping[str, GivenLens] | None = None,
 ) -> Dataset:
     """Opens the dataset in a folder.
 
@@ -289,10 +329,12 @@ def open_dataset(
         layout: name of its layout; found out where None.
         as_found: as it lies there: a layout's tables are not brought to nuScenes' meaning, fields that rows lack
             are not put in, and one that a command of ours has not finished is opened too.
+        lenses: by channel, for cameras whose tables do not say them.
 
     Raises:
         DatasetError: no such folder, no version folder, or a table that cannot be used.
-        UsageError: several version folders and no `version`, a `version` that is not there, an unknown layout.
+        UsageError: several version folders and no `version`, a `version` that is not there, an unknown layout, or
+            the lens of a camera that the dataset does not have.
     """
     known = layout_named(layout) if layout else None
     try:
@@ -301,9 +343,13 @@ def open_dataset(
         folder = version_folder(root, version, known)
         if not as_found:
             refuse_unfinished(folder.parent)
-        return _open(folder, known or layout_of(folder), as_found=as_found)
+        dataset = _open(folder, known or layout_of(folder), as_found=as_found)
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}.", where=str(error.filename or root)) from error
+    if not lenses:
+        return dataset
+    check_channels(lenses, dataset.camera_channels(), dataset.folder)
+    return replace(dataset, lenses=lenses)
 
 
 def _open(folder: Path, layout: Layout, *, as_found: bool) -> Dataset:

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from unidrive_cli.errors import DatasetError, GeometryError, RigError, UnidriveError, UsageError
 from unidrive_cli.geometry.arrays import Float
-from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.rig.fleet import Fleet, is_fleet_file, load_fleet
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.rig.yaml_file import load_rig
 from unidrive_cli.tables.dataset import Dataset, is_version_folder, open_dataset
 from unidrive_cli.tables.layouts.known import layout_named
+from unidrive_cli.tables.lenses import GivenLens
 from unidrive_cli.tables.schema import CalibratedSensor, SampleData
 
 
-def lens_and_pose(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> tuple[Pinhole, Float]:
+def lens_and_pose(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> tuple[Lens, Float]:
     """Lens, and `ego_from_cam` (4, 4), of the camera that took a picture of (width, height) pixels.
 
     Raises:
@@ -116,11 +117,21 @@ def rig_of_dataset(
 
 
 def _content(row: CalibratedSensor) -> str:
-    return json.dumps([row.translation, row.rotation, row.camera_intrinsic])
+    distortion = [row.camera_distortion or [], str(row.camera_model)]
+    return json.dumps([row.translation, row.rotation, row.camera_intrinsic, *distortion])
 
 
-def open_named(folder: Path, version: str | None = None, *, layout: str | None = None) -> Dataset:
+def open_named(
+    folder: Path,
+    version: str | None = None,
+    *,
+    layout: str | None = None,
+    lenses: Mapping[str, GivenLens] | None = None,
+) -> Dataset:
     """Opens the dataset that an argument without a `--version` of its own means: a folder, or its version folder.
+
+    Args:
+        lenses: as `open_dataset`.
 
     Raises:
         DatasetError: it cannot be read.
@@ -132,7 +143,7 @@ def open_named(folder: Path, version: str | None = None, *, layout: str | None =
         folder = folder.resolve()
         folder, version = folder.parent, folder.name
     try:
-        return open_dataset(folder, version, layout=layout)
+        return open_dataset(folder, version, layout=layout, lenses=lenses)
     except UsageError as error:
         if version is not None:
             raise
@@ -140,12 +151,15 @@ def open_named(folder: Path, version: str | None = None, *, layout: str | None =
         raise UsageError(error.what, where=error.where, hint=hint) from error
 
 
-def resolve_fleet(text: str, size_of_file: SizeOfFile | None = None) -> tuple[Fleet, list[str]]:
+def resolve_fleet(
+    text: str, size_of_file: SizeOfFile | None = None, lenses: Mapping[str, GivenLens] | None = None
+) -> tuple[Fleet, list[str]]:
     """The fleet that a RIG argument means: a fleet file's, or a virtual rig with no cars named.
 
     Args:
         text: a fleet file, or what `resolve_rig` takes.
         size_of_file: says the size of a dataset's pictures that have none in their table.
+        lenses: of a dataset folder.
 
     Returns:
         The fleet, and notes that say what was assumed.
@@ -159,7 +173,7 @@ def resolve_fleet(text: str, size_of_file: SizeOfFile | None = None) -> tuple[Fl
     except OSError as error:
         raise RigError(f"cannot be read: {error}.", where=text[:200]) from error
     if not is_fleet:
-        rig, notes = resolve_rig(text, size_of_file=size_of_file)
+        rig, notes = resolve_rig(text, size_of_file=size_of_file, lenses=lenses)
         return Fleet(rig.name, rig, (), common=False), notes
 
     def rig_named(name: str) -> Rig:
@@ -171,7 +185,11 @@ def resolve_fleet(text: str, size_of_file: SizeOfFile | None = None) -> tuple[Fl
 
 
 def resolve_rig(
-    text: str, version: str | None = None, scenes: tuple[str, ...] = (), size_of_file: SizeOfFile | None = None
+    text: str,
+    version: str | None = None,
+    scenes: tuple[str, ...] = (),
+    size_of_file: SizeOfFile | None = None,
+    lenses: Mapping[str, GivenLens] | None = None,
 ) -> tuple[Rig, list[str]]:
     """The rig that a RIG argument means: a rig file, a shipped rig's name, or a dataset folder.
 
@@ -179,7 +197,7 @@ def resolve_rig(
 
     Args:
         text: the argument.
-        version, scenes: of a dataset folder.
+        version, scenes, lenses: of a dataset folder.
         size_of_file: says the size of a dataset's pictures that have none in their table.
 
     Returns:
@@ -190,7 +208,7 @@ def resolve_rig(
         DatasetError, UsageError: a dataset folder that cannot be read.
     """
     try:
-        if dataset := dataset_meant(text, version):
+        if dataset := dataset_meant(text, version, lenses=lenses):
             rig, notes = rig_of_dataset(dataset, scenes, size_of_file)
             if dataset.layout.name != "nuscenes":
                 notes.insert(0, f"{dataset.folder} is in the layout of {dataset.layout.title}.")
@@ -205,12 +223,17 @@ def resolve_rig(
     return load_gallery_rig(text), []
 
 
-def dataset_meant(text: str, version: str | None = None, layout: str | None = None) -> Dataset | None:
+def dataset_meant(
+    text: str,
+    version: str | None = None,
+    layout: str | None = None,
+    lenses: Mapping[str, GivenLens] | None = None,
+) -> Dataset | None:
     """The dataset that a RIG argument means, opened; None where it means a rig file or a shipped rig.
 
     Args:
         text: the argument.
-        version, layout: of the dataset; the layout is found out where None.
+        version, layout, lenses: of the dataset; the layout is found out where None.
 
     Raises:
         DatasetError, UsageError: it cannot be read.
@@ -221,7 +244,7 @@ def dataset_meant(text: str, version: str | None = None, layout: str | None = No
         is_folder = Path(text).is_dir()
     except OSError:  # no path can be called that
         return None
-    return open_named(Path(text), version, layout=layout) if is_folder else None
+    return open_named(Path(text), version, layout=layout, lenses=lenses) if is_folder else None
 
 
 def _looks_like_path(text: str) -> bool:

@@ -27,13 +27,17 @@ class Sensor(Row, frozen=True, gc=False):
 
 
 class CalibratedSensor(Row, frozen=True, gc=False):
-    """`ego_from_sensor`: translation in metres, rotation as w, x, y, z."""
+    """`ego_from_sensor`: translation in metres, rotation as w, x, y, z.
+
+    `camera_distortion` (T4's field) holds OpenCV's coefficients, `camera_model` what they are of.
+    """
 
     sensor_token: str
     translation: Vector3
     rotation: Quaternion
     camera_intrinsic: list[list[float]]
     camera_distortion: list[float] | None = None
+    camera_model: Any = None
 
 
 class EgoPose(Row, frozen=True, gc=False):

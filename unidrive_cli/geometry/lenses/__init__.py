@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from unidrive_cli.errors import GeometryError, did_you_mean
 from unidrive_cli.geometry.lenses.base import MAX_SIDE_PX, PIXEL_TOLERANCE, Lens
-from unidrive_cli.geometry.lenses.distorted import DistortedLens
+from unidrive_cli.geometry.lenses.distorted import DistortedLens, known_lens
 from unidrive_cli.geometry.lenses.fisheye import FisheyeLens
 from unidrive_cli.geometry.lenses.opencv import OpenCVLens
 from unidrive_cli.geometry.lenses.pinhole import Pinhole
@@ -15,6 +15,7 @@ __all__ = [
     "DISTORTED_LENSES",
     "MAX_SIDE_PX",
     "PIXEL_TOLERANCE",
+    "DistortedLens",
     "FisheyeLens",
     "Lens",
     "OpenCVLens",
@@ -42,5 +43,6 @@ def lens_of(pinhole: Pinhole, model: str, coefficients: Sequence[float]) -> Lens
         known = " or ".join(DISTORTED_LENSES)
         raise GeometryError(f"the lens model must be {known}, got {model!r:.60}. {guess}".rstrip())
     k = pinhole
-    lens = DISTORTED_LENSES[model](k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px, tuple(coefficients))
+    intrinsics = k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px
+    lens = known_lens(DISTORTED_LENSES[model], *intrinsics, tuple(coefficients))
     return pinhole if model == OpenCVLens.model and not any(lens.coefficients) else lens

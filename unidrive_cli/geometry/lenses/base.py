@@ -58,6 +58,9 @@ class Lens(Protocol):
     def vfov_deg(self) -> float:
         """Angle between the upper and the lower border in the principal point's column, in degrees."""
 
+    def __hash__(self) -> int:
+        """Lenses of the same numbers are equal, and keys of what was worked out for them."""
+
     def project(self, points_cam: Float) -> tuple[Float, Bool]:
         """Pixels (..., 2) of camera-frame points (..., 3), and where they are inside the picture."""
 

@@ -57,6 +57,12 @@ class DistortedLens(Intrinsics, abc.ABC):
                 f"(the order is {self.names})."
             )
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled by its numbers: what was worked out for a lens is found again where it is known already."""
+        k = self
+        intrinsics = k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px
+        return known_lens, (type(self), *intrinsics, self.coefficients)
+
     def _checked(self, given: Sequence[float]) -> tuple[float, ...]:
         """The coefficients as the lens keeps them."""
         if len(given) not in self.counts:
@@ -157,6 +163,25 @@ class DistortedLens(Intrinsics, abc.ABC):
         azimuth = (quarter + place) * (np.pi / 2)
         sine, cosine = np.sin(angle_rad), np.full_like(place, np.cos(angle_rad))
         return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine], axis=-1)
+
+
+@functools.lru_cache(maxsize=256)
+def known_lens(
+    kind: type[DistortedLens],
+    fx_px: float,
+    fy_px: float,
+    cx_px: float,
+    cy_px: float,
+    width_px: int,
+    height_px: int,
+    coefficients: tuple[float, ...],
+) -> DistortedLens:
+    """A lens, and the same one for the same numbers: its field and its border are worked out once.
+
+    Raises:
+        GeometryError: numbers that are no such lens.
+    """
+    return kind(fx_px, fy_px, cx_px, cy_px, width_px, height_px, coefficients)
 
 
 def _are_rays(curve: Callable[[Float], Float], place: Float) -> Bool:
