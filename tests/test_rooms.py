@@ -42,7 +42,9 @@ TYPE_MAKERS = {"TypeVar", "ParamSpec", "NewType"}
 MUTATORS = {"append", "extend", "insert", "remove", "pop", "popitem", "clear", "update", "setdefault", "add"}
 DECLARED = {  # the only things alive at module level, each on purpose
     ("cli/main.py", "app"),  # typer collects the commands on it while it is imported
-    ("warp/planar.py", "_forms"),  # memo of a pure function
+    ("warp/lens_numbers.py", "lens_numbers"),  # memo of a pure function
+    ("warp/lens_numbers.py", "numbers_of_all"),  # memo of a pure function
+    ("geometry/lenses/distorted.py", "known_lens"),  # memo of a pure function: a lens's border takes a while
     ("warp/compiled.py", "has_numba"),  # what is installed does not change while a process runs
     ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process

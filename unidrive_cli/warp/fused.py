@@ -10,6 +10,11 @@ factor w, so its pixel is (U / Z, V / Z) with U, V, Z linear in (x, y, 1, w): no
 is made, and motion between the cameras costs nothing. Which pixels a source sees follows from bounds of w
 on a row, and is decided in float64, pixel by pixel, where the bounds leave it open.
 
+A source with lens distortion has no such forms of its pixel. Its point P is the same; the pixel follows from
+the distortion polynomial (opencv), or from a polynomial of the stereographic projection P / (|P| + Pz)
+(fisheye, whose arc tangent it replaces), in float32 for all pixels of a row. What lies by a border is decided,
+and placed, in float64 by the lens's own formulas.
+
 All arithmetic is strict IEEE (no contraction, no reassociation), so processors agree to the last bit.
 Numba widens sums of 32-bit numbers to 64 bits unless told otherwise, which halves the width of the vector
 loops, and takes signed indices for possibly negative: hence the casts. Constants of other modules come in
@@ -51,16 +56,39 @@ LIMITS, LUMA, CHROMA, BORDERS, POINT, ASIDE = 0, 5, 8, 11, 15, 18
 """Rows of a source's model, all but the last forms with the columns x, y, 1, w.
 
 LIMITS: five that are >= 0 (the last: > 0) where the source sees the point. LUMA, CHROMA: U, V, Z of its pixel
-in those planes. BORDERS: four distances to the planes through its borders. POINT: the point in its frame.
-ASIDE: b in the virtual camera's frame; r x b gives the parallax.
+in those planes; of a source with distortion what its pixel is multiplied with for that, and what is added. BORDERS:
+four distances to the planes through its borders. POINT: the point in its frame. ASIDE: b in the virtual camera's
+frame; r x b gives the parallax.
 """
 MODEL_ROWS = 19
 PLANES, STRIDES, SIZES = 0, 3, 5
 """Columns of a source's layout: where Y, U, V start; strides of luma and chroma; their widths and heights."""
 LAYOUT_COLUMNS = 9
+KIND, EXACT, FOCAL, CENTRE, LOW, HIGH = 0, 1, 2, 4, 6, 7
+"""Columns of a source's lens: 0 for a pinhole, OPENCV or FISHEYE; whether float32 will not do, which knows no tilt
+either; fx, fy; cx, cy; the least u and v and the largest that are in the picture;"""
+LIMIT, INSIDE, BEYOND = 9, 10, 11
+"""the end of the model's field, as (x / z)^2 + (y / z)^2 of a ray or, of a fisheye, as its angle off the axis; up to
+where, as that square or as the square of the stereographic radius, the model surely holds, and beyond where no ray
+is in the picture;"""
+TERMS, SERIES_SCALE, SERIES = 12, 24, 25
+"""the coefficients; the fisheye's polynomial: ascending coefficients in SERIES_SCALE radius^2 - 1;"""
+SERIES_TERMS = 16
+SHARES = SERIES + SERIES_TERMS
+"""and where the sines to its border are, of how many columns and rows of points of the stereographic plane, the
+first of those, how many there are to a unit, and sine and cosine of the angle off the axis where the field ends."""
+TILT = SHARES + 8
+"""The homography of a tilted sensor, row by row; zeros without."""
+LENS_COLUMNS = TILT + 9
+OPENCV, FISHEYE = 1, 2
+_SCAN_CHUNK = 64
+_NOWHERE_PX = -1e6
+_MARGIN_PX = 0.05
+"""Nearer to a border than this whether a pixel is seen is decided in float64."""
 PER_LENGTH, GROUND, BORDER_FLOOR, PARALLAX_FLOOR, MIN_SHARE = 0, 1, 4, 5, 6
 """Entries of the scene: 1 / D0; -(n . R r) / h as a form of x, y, 1; constants of the blend."""
-_WS, _TOTALS, _NODE_XS, _NODE_WS, _LARGEST, _WEIGHTS = 0, 1, 2, 3, 4, 5
+_WS, _TOTALS, _NODE_XS, _NODE_WS, _LARGEST = 0, 1, 2, 3, 4
+_GRID_AS, _GRID_BS, _RIMS, _DISTANCES, _WEIGHTS = 5, 6, 7, 8, 9
 """Rows of the float scratch; after the weights of all sources come their shares."""
 
 
@@ -112,6 +140,37 @@ def _store_ramp(typingctx: Any, array: Any, index: Any, value: Any, step: Any) -
         ramp = builder.fadd(everywhere(arguments[2]), builder.fmul(places, everywhere(arguments[3])))
         place = builder.bitcast(builder.gep(data, [arguments[1]]), vector.as_pointer())
         builder.store(ramp, place, align=4)
+
+    return signature, codegen
+
+
+@intrinsic
+def _least_side(typingctx: Any, sides: Any, at: Any, below: Any, across: Any, down: Any) -> Any:
+    """The least of four numbers, each bilinear in a grid of float32 fours: `at`, the one after, and two `below`."""
+    signature = types.float32(sides, types.uint64, types.uint64, types.float32, types.float32)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        i32, vector = ir.IntType(32), ir.VectorType(ir.FloatType(), 4)
+        nothing = ir.Constant(vector, ir.Undefined)
+
+        def four(index: Any, after: int) -> Any:
+            place = builder.gep(data, [builder.add(index, ir.IntType(64)(after))])
+            return builder.load(builder.bitcast(place, vector.as_pointer()), align=4)
+
+        def turned(value: Any, lanes: list[int]) -> Any:
+            return builder.shuffle_vector(value, nothing, ir.Constant(ir.VectorType(i32, 4), lanes))
+
+        def between(one: Any, other: Any, share: Any) -> Any:
+            everywhere = turned(builder.insert_element(nothing, share, i32(0)), [0, 0, 0, 0])
+            return builder.fadd(one, builder.fmul(everywhere, builder.fsub(other, one)))
+
+        upper, lower = (between(four(row, 0), four(row, 4), arguments[3]) for row in arguments[1:3])
+        least = between(upper, lower, arguments[4])
+        for lanes in ([2, 3, 0, 1], [1, 0, 3, 2]):
+            other = turned(least, lanes)
+            least = builder.select(builder.fcmp_ordered("<", other, least), other, least)
+        return builder.extract_element(least, i32(0))
 
     return signature, codegen
 
@@ -182,6 +241,263 @@ def _project(xs, floats, start, n, y, models, layout, j, chroma, ints, k):
 
 
 @njit(**_TIGHT)
+def _opencv_terms(lenses, j):
+    """fx, fy, cx, cy and the twelve coefficients of a lens, in float32."""
+    one, two = TERMS, TERMS + 6
+    return (
+        _f4(lenses[j, FOCAL]), _f4(lenses[j, FOCAL + 1]), _f4(lenses[j, CENTRE]), _f4(lenses[j, CENTRE + 1]),
+        _f4(lenses[j, one]), _f4(lenses[j, one + 1]), _f4(lenses[j, one + 2]), _f4(lenses[j, one + 3]),
+        _f4(lenses[j, one + 4]), _f4(lenses[j, one + 5]), _f4(lenses[j, two]), _f4(lenses[j, two + 1]),
+        _f4(lenses[j, two + 2]), _f4(lenses[j, two + 3]), _f4(lenses[j, two + 4]), _f4(lenses[j, two + 5]),
+    )  # fmt: skip
+
+
+@njit(inline="always", **_OPTIONS)
+def _opencv_pixel(x, y, z, terms):
+    """u, v of a point in front of an OpenCV lens, and (x / z)^2 + (y / z)^2."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = terms
+    one, two = _f4(1), _f4(2)
+    per_z = one / z
+    a, b = x * per_z, y * per_z
+    s, ab = a * a + b * b, two * a * b
+    g = (one + s * (k1 + s * (k2 + s * k3))) / (one + s * (k4 + s * (k5 + s * k6)))
+    u = a * g + p1 * ab + p2 * (s + two * a * a) + s * (s1 + s2 * s)
+    v = b * g + p1 * (s + two * b * b) + p2 * ab + s * (s3 + s4 * s)
+    return cx + fx * u, cy + fy * v, s
+
+
+@njit(**_TIGHT)
+def _fisheye_terms(lenses, j):
+    """fx, fy, cx, cy of a lens and its polynomial, the highest term first, in float32."""
+    one, two = SERIES, SERIES + 8
+    return (
+        _f4(lenses[j, FOCAL]), _f4(lenses[j, FOCAL + 1]), _f4(lenses[j, CENTRE]), _f4(lenses[j, CENTRE + 1]),
+        _f4(lenses[j, SERIES_SCALE]),
+        _f4(lenses[j, two + 7]), _f4(lenses[j, two + 6]), _f4(lenses[j, two + 5]), _f4(lenses[j, two + 4]),
+        _f4(lenses[j, two + 3]), _f4(lenses[j, two + 2]), _f4(lenses[j, two + 1]), _f4(lenses[j, two]),
+        _f4(lenses[j, one + 7]), _f4(lenses[j, one + 6]), _f4(lenses[j, one + 5]), _f4(lenses[j, one + 4]),
+        _f4(lenses[j, one + 3]), _f4(lenses[j, one + 2]), _f4(lenses[j, one + 1]), _f4(lenses[j, one]),
+    )  # fmt: skip
+
+
+@njit(inline="always", **_OPTIONS)
+def _fisheye_pixel(x, y, z, terms):
+    """u, v of a point before a fisheye, the square of its stereographic radius, and what that divides by."""
+    fx, fy, cx, cy, scale, t15, t14, t13, t12, t11, t10, t9, t8, t7, t6, t5, t4, t3, t2, t1, t0 = terms
+    depth = z + np.sqrt(x * x + y * y + z * z)
+    per_depth = _f4(1) / depth
+    a, b = x * per_depth, y * per_depth
+    s = a * a + b * b
+    t = s * scale - _f4(1)
+    square = t * t
+    fourth = square * square  # in four chains, because a processor waits for each step of a single one
+    g0 = t0 + fourth * (t4 + fourth * (t8 + fourth * t12))
+    g1 = t1 + fourth * (t5 + fourth * (t9 + fourth * t13))
+    g2 = t2 + fourth * (t6 + fourth * (t10 + fourth * t14))
+    g3 = t3 + fourth * (t7 + fourth * (t11 + fourth * t15))
+    g = (g0 + t * g1) + square * (g2 + t * g3)
+    return cx + fx * a * g, cy + fy * b * g, s, depth
+
+
+@njit(**_OPTIONS)
+def place_points(points, lenses, j, pixels):
+    """Where points (n, 3) float32 before a lens fall: fills `pixels` (n, 2) float32."""
+    opencv, fisheye = _opencv_terms(lenses, j), _fisheye_terms(lenses, j)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if lenses[j, KIND] == OPENCV:
+            u, v, _ = _opencv_pixel(x, y, z, opencv)
+        else:
+            u, v, _, _ = _fisheye_pixel(x, y, z, fisheye)
+        pixels[i, 0], pixels[i, 1] = u, v
+
+
+@njit(inline="always", **_OPTIONS)
+def _told(u, s, depth, low, inside, beyond):
+    """u, or what says more: in the picture's border where the model may not hold, far out where it does not."""
+    u = u if s <= inside else low
+    return u if (s <= beyond) & (depth > _f4(0)) else _f4(_NOWHERE_PX)
+
+
+@njit(**_INNER)
+def _place(xs, start, n, y, models, lenses, j, floats, places, seen):
+    """Pixels of a source with distortion on a stretch of a row, and whether it sees them: 0 no, 2 yes, 1 open.
+
+    In two loops, because of more than some arrays at once a compiler does not find out that they are apart.
+    """
+    p0x, p00, p0w = _form(models, j, POINT, y)
+    p1x, p10, p1w = _form(models, j, POINT + 1, y)
+    p2x, p20, p2w = _form(models, j, POINT + 2, y)
+    low, high_u, high_v = _f4(lenses[j, LOW]), _f4(lenses[j, HIGH]), _f4(lenses[j, HIGH + 1])
+    inside, beyond = _f4(lenses[j, INSIDE]), _f4(lenses[j, BEYOND])
+    row_u, row_v = _u8(2 * j), _u8(2 * j + 1)
+    begin, end = _u8(start), _u8(start + n)
+    if lenses[j, KIND] == OPENCV:
+        terms = _opencv_terms(lenses, j)
+        for i in range(begin, end):
+            x, w = xs[i], floats[_WS, i]
+            px, py, pz = p0x * x + p00 + p0w * w, p1x * x + p10 + p1w * w, p2x * x + p20 + p2w * w
+            u, v, s = _opencv_pixel(px, py, pz, terms)
+            places[row_u, i] = _told(u, s, pz, low, inside, beyond)
+            places[row_v, i] = v
+    else:
+        fisheye = _fisheye_terms(lenses, j)
+        for i in range(begin, end):
+            x, w = xs[i], floats[_WS, i]
+            px, py, pz = p0x * x + p00 + p0w * w, p1x * x + p10 + p1w * w, p2x * x + p20 + p2w * w
+            u, v, s, depth = _fisheye_pixel(px, py, pz, fisheye)
+            places[row_u, i] = _told(u, s, depth, low, inside, beyond)
+            places[row_v, i] = v
+    margin = _f4(_MARGIN_PX)
+    for i in range(begin, end):
+        u, v = places[row_u, i], places[row_v, i]
+        left, right, above, below = u - low, high_u - u, v - low, high_v - v
+        least = left if left < right else right
+        upright = above if above < below else below
+        least = upright if upright < least else least
+        seen[i] = np.uint8(_i4(2) if least > margin else (_i4(1) if least >= -margin else _i4(0)))
+
+
+@njit(**_INNER)
+def _place_exactly(x, y, w, models, lenses, j):
+    """u, v of one pixel by the lens's own formulas in float64, and whether the source sees it."""
+    px = models[j, POINT, 0] * x + (models[j, POINT, 1] * y + models[j, POINT, 2]) + models[j, POINT, 3] * w
+    py = models[j, POINT + 1, 0] * x + (models[j, POINT + 1, 1] * y + models[j, POINT + 1, 2])
+    py += models[j, POINT + 1, 3] * w
+    pz = models[j, POINT + 2, 0] * x + (models[j, POINT + 2, 1] * y + models[j, POINT + 2, 2])
+    pz += models[j, POINT + 2, 3] * w
+    k = lenses[j, TERMS : TERMS + 12]
+    if lenses[j, KIND] == OPENCV:
+        if pz <= 0:
+            return 0.0, 0.0, False
+        a, b = px / pz, py / pz
+        s = a * a + b * b
+        in_model = s < lenses[j, LIMIT]
+        g = (1 + s * (k[0] + s * (k[1] + s * k[4]))) / (1 + s * (k[5] + s * (k[6] + s * k[7])))
+        u = a * g + 2 * k[2] * a * b + k[3] * (s + 2 * a * a) + s * (k[8] + k[9] * s)
+        v = b * g + k[2] * (s + 2 * b * b) + 2 * k[3] * a * b + s * (k[10] + k[11] * s)
+        t = lenses[j, TILT : TILT + 9]
+        if t[8] > 0:
+            depth = t[6] * u + t[7] * v + t[8]
+            in_model &= depth > 0
+            u, v = (t[0] * u + t[1] * v + t[2]) / depth, (t[3] * u + t[4] * v + t[5]) / depth
+    else:
+        off_axis = np.hypot(px, py)
+        theta = np.arctan2(off_axis, pz)
+        in_model = (theta < lenses[j, LIMIT]) & ((off_axis > 0) | (pz > 0))
+        t = theta * theta
+        g = theta * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))) / (off_axis if off_axis > 0 else 1.0)
+        u, v = px * g, py * g
+    u, v = u * lenses[j, FOCAL] + lenses[j, CENTRE], v * lenses[j, FOCAL + 1] + lenses[j, CENTRE + 1]
+    low, high_u, high_v = lenses[j, LOW], lenses[j, HIGH], lenses[j, HIGH + 1]
+    return u, v, in_model & (u >= low) & (u <= high_u) & (v >= low) & (v <= high_v)
+
+
+@njit(**_TIGHT)
+def _alike(seen, start, end):
+    """The code that a whole stretch of pixels has; 1 where they differ, or are open."""
+    least, most = _i4(2), _i4(0)
+    for i in range(_u8(start), _u8(end)):
+        code = _i4(seen[i])
+        least = code if code < least else least
+        most = code if code > most else most
+    return least if least == most else _i4(1)
+
+
+@njit(**_INNER)
+def _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs, count):
+    """The runs of columns that a source with distortion sees, put after the first `count` runs; returns the sum.
+
+    What is open is decided, and placed anew, in float64.
+    """
+    per_length, ground_x, square = scene[PER_LENGTH], scene[GROUND], y * y + 1
+    ground = scene[GROUND + 1] * y + scene[GROUND + 2]
+    exact, opened, column = lenses[j, EXACT] > 0, -1, start
+    while column < end:
+        stop = min(column + _SCAN_CHUNK, end)
+        code = _i4(1) if exact else _alike(seen, column, stop)
+        while column < stop:
+            sees = code == 2
+            if code == 1:
+                sees = seen[column] == 2
+                if exact or seen[column] == 1:
+                    w = _inverse_depth_at(xs[column], square, per_length, ground_x, ground)
+                    u, v, sees = _place_exactly(xs[column], y, w, models, lenses, j)
+                    if sees:
+                        places[2 * j, column], places[2 * j + 1, column] = u, v
+            if sees and opened < 0:
+                opened = column
+            elif opened >= 0 and not sees:
+                runs[count, 0], runs[count, 1], runs[count, 2] = opened, column, j
+                count += 1
+                opened = -1
+            column = column + 1 if code == 1 else stop
+    if opened >= 0:
+        runs[count, 0], runs[count, 1], runs[count, 2] = opened, end, j
+        count += 1
+    return count
+
+
+@njit(**_INNER)
+def _project_placed(places, start, n, models, layout, j, chroma, ints, k):
+    """As `_project`, of a source whose pixels are known."""
+    low, row = _f4(0.5), CHROMA if chroma else LUMA
+    scale, offset = _f4(256 * models[j, row, 0]), _f4(256 * models[j, row, 1] + 0.5)
+    high_u = _f4((layout[j, SIZES + 2 * chroma] - 1) * 256 + 0.5)
+    high_v = _f4((layout[j, SIZES + 2 * chroma + 1] - 1) * 256 + 0.5)
+    stride = _i4(layout[j, STRIDES + chroma])
+    first, index, fraction = _u8(start), 2 * k, 2 * k + 1
+    row_u, row_v = 2 * j, 2 * j + 1
+    for i in range(_u8(n)):
+        u, v = places[row_u, first + i] * scale + offset, places[row_v, first + i] * scale + offset
+        u = u if u > low else low
+        v = v if v > low else low
+        u = u if u < high_u else high_u
+        v = v if v < high_v else high_v
+        iu, iv = _i4(u), _i4(v)
+        ints[index, i] = _i4(_i4(_i4(iv >> _i4(8)) * stride) + _i4(iu >> _i4(8)))
+        ints[fraction, i] = _i4(_i4(_i4(iv & _i4(255)) << _i4(8)) | _i4(iu & _i4(255)))
+
+
+@njit(**_INNER)
+def _border_distances(n, y, models, lenses, borders, j, floats, row):
+    """|P| sin(angle to the border of its picture) of a source with distortion at `n` nodes of a row."""
+    p0x, p00, p0w = _form(models, j, POINT, y)
+    p1x, p10, p1w = _form(models, j, POINT + 1, y)
+    p2x, p20, p2w = _form(models, j, POINT + 2, y)
+    begin, columns, rows = int(lenses[j, SHARES]), int(lenses[j, SHARES + 1]), int(lenses[j, SHARES + 2])
+    low_a, low_b, per_node = _f4(lenses[j, SHARES + 3]), _f4(lenses[j, SHARES + 4]), _f4(lenses[j, SHARES + 5])
+    sine_rim, cosine_rim = _f4(lenses[j, SHARES + 6]), _f4(lenses[j, SHARES + 7])
+    none = _f4(0)
+    for i in range(_u8(n)):
+        x, w = floats[_NODE_XS, i], floats[_NODE_WS, i]
+        px, py, pz = p0x * x + p00 + p0w * w, p1x * x + p10 + p1w * w, p2x * x + p20 + p2w * w
+        per_depth = per_node / (np.sqrt(px * px + py * py + pz * pz) + pz)
+        floats[_GRID_AS, i] = px * per_depth - low_a * per_node
+        floats[_GRID_BS, i] = py * per_depth - low_b * per_node
+    for i in range(_u8(n)):
+        x, w = floats[_NODE_XS, i], floats[_NODE_WS, i]
+        px, py, pz = p0x * x + p00 + p0w * w, p1x * x + p10 + p1w * w, p2x * x + p20 + p2w * w
+        aside = px * px + py * py
+        distance = np.sqrt(aside + pz * pz)
+        off_axis = np.sqrt(aside)
+        within = sine_rim * pz - cosine_rim * off_axis
+        floats[_RIMS, i] = within if cosine_rim * pz + sine_rim * off_axis > none else distance
+        floats[_DISTANCES, i] = distance
+    last_a, last_b = _f4(columns - 1), _f4(rows - 1)
+    for i in range(_u8(n)):
+        a, b = floats[_GRID_AS, i], floats[_GRID_BS, i]
+        if not ((a >= none) & (b >= none) & (a < last_a) & (b < last_b)):
+            floats[row, i] = none
+            continue
+        column, line = _i4(a), _i4(b)
+        at = _u8(begin + 4 * (line * columns + column))
+        side = _least_side(borders, at, at + _u8(4 * columns), a - _f4(column), b - _f4(line))
+        side *= floats[_DISTANCES, i]
+        floats[row, i] = side if side < floats[_RIMS, i] else floats[_RIMS, i]
+
+
+@njit(**_TIGHT)
 def _scaled(form, zx, z0, zw):
     """A form whose quotient with Z is 256 times as large, and rounds when it is cut to a whole number."""
     scale, half = _f4(256), _f4(0.5)
@@ -236,8 +552,8 @@ def _store_totals(floats, n, canvas, start):
 
 
 @njit(**_TIGHT)
-def _weigh(n, y, models, j, scene, floats, row):
-    """Angular weights of a source at `n` nodes of a row (`geometry.blending.angular_weights`)."""
+def _pinhole_distances(n, y, models, j, floats, row):
+    """|P| sin(angle to the border of its picture) of a pinhole source at `n` nodes of a row."""
     n0x, n00, n0w = _form(models, j, BORDERS, y)
     n1x, n10, n1w = _form(models, j, BORDERS + 1, y)
     n2x, n20, n2w = _form(models, j, BORDERS + 2, y)
@@ -249,6 +565,15 @@ def _weigh(n, y, models, j, scene, floats, row):
         least = left if left < right else right
         least = top if top < least else least
         floats[row, i] = bottom if bottom < least else least
+
+
+@njit(**_TIGHT)
+def _weigh(n, y, models, lenses, borders, j, scene, floats, row):
+    """Angular weights of a source at `n` nodes of a row (`geometry.blending.angular_weights`)."""
+    if lenses[j, KIND] > 0:
+        _border_distances(n, y, models, lenses, borders, j, floats, row)
+    else:
+        _pinhole_distances(n, y, models, j, floats, row)
     p0x, p00, p0w = _form(models, j, POINT, y)
     p1x, p10, p1w = _form(models, j, POINT + 1, y)
     p2x, p20, p2w = _form(models, j, POINT + 2, y)
@@ -330,7 +655,7 @@ def _spread(floats, weights, n, apart, shares):
 
 
 @njit(**_INNER)
-def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats):
+def _share_chunk(xs, start, n, y, scene, covering, among, models, lenses, borders, nearest, floats):
     """Shares of the sources that cover a stretch of a row; returns how many have any.
 
     Those are moved to the front of `covering` and of the shares.
@@ -342,7 +667,7 @@ def _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, float
         nodes = _whole_lanes(n if apart == 1 else (n + apart - 1) // apart + 1)
         _place_nodes(xs[start], _f4(apart) * spacing, nodes, y, scene, floats)
         for k in range(among):
-            _weigh(nodes, y, models, covering[k], scene, floats, _WEIGHTS + k)
+            _weigh(nodes, y, models, lenses, borders, covering[k], scene, floats, _WEIGHTS + k)
         if nearest:
             _choose_largest(among, nodes, floats)
         else:
@@ -441,15 +766,26 @@ def _inverse_depth_bounds(xs, y, scene):
 
 
 @njit(**_INNER)
-def _runs(xs, y, scene, models, sources, source_count, runs, seen):
-    """The runs of columns that each source sees on a row: fills `runs` (n, 3) with start, end, source; returns n."""
+def _runs(xs, xs32, y, scene, models, lenses, sources, source_count, runs, seen, floats, places):
+    """The runs of columns that each source sees on a row: fills `runs` (n, 3) with start, end, source; returns n.
+
+    Of sources with distortion `places` (2 sources, W) then holds the pixels.
+    """
     width, count = xs.size, 0
     step = (xs[width - 1] - xs[0]) / (width - 1) if width > 1 else 1.0
     low, high = _inverse_depth_bounds(xs, y, scene)
+    known_to = 0
     for s in range(source_count):
         j = sources[s]
         start, first, last, end = _bounds(models, j, y, low, high, xs[0], step, width)
         if end == start:
+            continue
+        if lenses[j, KIND] > 0:
+            if known_to == 0:
+                known_to = _whole_lanes(width)
+                _inverse_depth(xs32, 0, known_to, y, scene, floats)
+            _place(xs32, start, _whole_lanes(end - start), y, models, lenses, j, floats, places, seen)
+            count = _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs, count)
             continue
         _see(xs, start, first, y, scene, models, j, seen)
         _see(xs, last, end, y, scene, models, j, seen)
@@ -530,15 +866,15 @@ def _fill(canvas, start, end, value):
 
 @njit(**_INNER)
 def _draw_row(
-    xs64, xs, y, sources, source_count, scene, models, layout, nearest, atlas, chroma, canvas, at, plane_size,
-    covered, covered_at, runs, cuts, covering, seen, ints, taps, floats
+    xs64, xs, y, sources, source_count, scene, models, layout, lenses, borders, nearest, atlas, chroma, canvas, at,
+    plane_size, covered, covered_at, runs, cuts, covering, seen, ints, taps, floats, places
 ):  # fmt: skip
     """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`.
 
     Returns the number of its pixels that a source sees.
     """
     width, seen_pixels = xs64.size, 0
-    count = _runs(xs64, y, scene, models, sources, source_count, runs, seen)
+    count = _runs(xs64, xs, y, scene, models, lenses, sources, source_count, runs, seen, floats, places)
     number = _cuts(runs, count, width, cuts)
     if count:
         _inverse_depth(xs, cuts[1], _whole_lanes(cuts[number - 2] - cuts[1]), y, scene, floats)
@@ -561,10 +897,15 @@ def _draw_row(
             n = stop - start if stop - start < longest else longest
             if longest == _SHARED_CHUNK:
                 among = _covering(runs, count, start, stop, covering)
-                among = _share_chunk(xs, start, n, y, scene, covering, among, models, nearest, floats)
+                among = _share_chunk(
+                    xs, start, n, y, scene, covering, among, models, lenses, borders, nearest, floats
+                )
             padded = _whole_lanes(n)
             for k in range(among):
-                _project(xs, floats, start, padded, y, models, layout, covering[k], chroma, ints, k)
+                if lenses[covering[k], KIND] > 0:
+                    _project_placed(places, start, padded, models, layout, covering[k], chroma, ints, k)
+                else:
+                    _project(xs, floats, start, padded, y, models, layout, covering[k], chroma, ints, k)
             for p in range(1 + chroma):
                 line = at + p * plane_size
                 if among > 1:
@@ -586,8 +927,8 @@ def _draw_row(
 
 @njit(**_OPTIONS)
 def draw_view(
-    xs, xs32, ys, xs_chroma, xs_chroma32, ys_chroma, scene, models, layout, nearest, atlas, canvas, covered,
-    runs, cuts, sources, covering, seen, ints, taps, floats
+    xs, xs32, ys, xs_chroma, xs_chroma32, ys_chroma, scene, models, layout, lenses, borders, nearest, atlas, canvas,
+    covered, runs, cuts, sources, covering, seen, ints, taps, floats, places
 ):  # fmt: skip
     """Draws a virtual picture in planes: Y (H, W), then U and V (H / 2, W / 2, rounded up).
 
@@ -598,12 +939,14 @@ def draw_view(
         scene: (7,) float64, see PER_LENGTH.
         models: (sources, MODEL_ROWS, 4) float64, see LIMITS.
         layout: (sources, LAYOUT_COLUMNS) int64, see PLANES.
+        lenses: (sources, LENS_COLUMNS) float64, see KIND.
+        borders: float32, sines to the four sides of the pictures of sources with distortion.
         nearest: take the source with the largest weight instead of mixing.
         atlas: uint8, the source planes; each row has a byte more, each plane a row more than the picture.
         canvas: uint8 result, three planes with LANES bytes of padding after each; Y 0 and chroma 128 where no
             source sees the pixel.
         covered: (H W,) uint8 result, 255 where one does.
-        runs, cuts, sources, covering, seen, ints, taps, floats: memory to work in, of the shapes of `scratch`.
+        runs, cuts, sources, covering, seen, ints, taps, floats, places: memory to work in, shaped as by `scratch`.
 
     Returns:
         How many pixels a source sees.
@@ -617,9 +960,9 @@ def draw_view(
             half = row // 2
             in_row = _draw_row(
                 xs_chroma if chroma else xs, xs_chroma32 if chroma else xs32, ys_chroma[half] if chroma else ys[row],
-                sources, count, scene, models, layout, nearest, atlas, chroma, canvas,
+                sources, count, scene, models, layout, lenses, borders, nearest, atlas, chroma, canvas,
                 height * width + LANES + half * chroma_width if chroma else row * width, chroma_size,
-                covered, row * width, runs, cuts, covering, seen, ints, taps, floats,
+                covered, row * width, runs, cuts, covering, seen, ints, taps, floats, places,
             )  # fmt: skip
             seen_pixels += 0 if chroma else in_row
     return seen_pixels
@@ -633,10 +976,11 @@ def scratch(width_px: int, sources: int) -> tuple[Array, ...]:
         np.empty(2 * runs + 2, np.int64),
         np.empty(sources, np.int64),
         np.empty(sources, np.int64),
-        np.empty(width_px, np.uint8),
+        np.empty(width_px + LANES, np.uint8),
         np.empty((2 * sources, CHUNK), np.int32),
         np.empty(CHUNK, np.int32),
         np.empty((_WEIGHTS + 2 * sources, max(width_px, _SHARED_CHUNK) + 2 * LANES), np.float32),
+        np.zeros((2 * sources, width_px + 2 * LANES), np.float32),
     )
 
 
@@ -711,10 +1055,11 @@ def warm_up() -> None:
     """Compiles the kernel, or loads it from the disk; once, before worker processes do so side by side."""
     axis, axis32, planes = np.zeros(2), np.zeros(2 + LANES, np.float32), np.zeros(6 + 3 * LANES, np.uint8)
     models, layout = np.zeros((0, MODEL_ROWS, 4)), np.zeros((0, LAYOUT_COLUMNS), np.int64)
+    lenses, borders = np.zeros((0, LENS_COLUMNS)), np.zeros(0, np.float32)
     half = axis[:1].copy()
     draw_view(
-        axis, axis32, axis, half, axis32, half, np.ones(MIN_SHARE + 1), models, layout, False, planes, planes.copy(),
-        planes.copy(), *scratch(2, 0),
+        axis, axis32, axis, half, axis32, half, np.ones(MIN_SHARE + 1), models, layout, lenses, borders, False,
+        planes, planes.copy(), planes.copy(), *scratch(2, 0),
     )  # fmt: skip
     split_planes(np.zeros((2, 2, 3), np.uint8), *np.zeros((3, 2, 2), np.uint8))
     plane = np.zeros((2, 2), np.uint8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -14,11 +13,12 @@ import simplejpeg
 from unidrive_cli.errors import PictureError
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.blending import BORDER_FLOOR, PARALLAX_FLOOR
-from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Lens, Pinhole
+from unidrive_cli.geometry.lenses import Lens, Pinhole
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
+from unidrive_cli.warp.lens_numbers import lens_numbers, numbers_of_all
 from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
 from unidrive_cli.warp.reduction import MAX_REDUCTION, STEPS, Reductions, reduced_size
 from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
@@ -230,6 +230,7 @@ class Canvas:
             self.scene,
             source_models(self.view, sources, reductions),
             atlas.layout_of(reductions),
+            *numbers_of_all(tuple(source.lens for source in sources)),
             nearest,
             atlas.memory,
             self._memory,
@@ -242,30 +243,17 @@ def source_models(view: VirtualView, sources: Sequence[Source], reductions: Sequ
     """What the kernel knows of each source and the copy that is sampled: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
     models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
     points = np.array([source.cam_from_ego for source in sources]).reshape(-1, 4, 4) @ view.camera.ego_from_cam
-    forms = np.array([_forms(_pinhole(source.lens)) for source in sources]).reshape(-1, fused.ASIDE, 3)
+    forms = np.array([lens_numbers(source.lens).forms for source in sources]).reshape(-1, fused.ASIDE, 3)
     models[:, : fused.ASIDE] = forms @ points[:, :3]
-    for model, n in zip(models, reductions, strict=True):
+    for model, source, n in zip(models, sources, reductions, strict=True):
+        if not isinstance(source.lens, Pinhole):
+            model[fused.LUMA, :2] = 1 / n, 0.5 / n - 0.5
+            model[fused.CHROMA, :2] = 0.5 / n, 0.25 / n - 0.5
+            continue
         for row in (fused.LUMA, fused.CHROMA) if n > 1 else ():
             model[row : row + 2] = model[row : row + 2] / n + (0.5 / n - 0.5) * model[row + 2]
     models[:, fused.ASIDE, :3] = np.matmul(points[:, None, :3, 3], points[:, :3, :3])[:, 0]
     return models
-
-
-def _pinhole(lens: Lens) -> Pinhole:
-    if not isinstance(lens, Pinhole):
-        raise TypeError(f"the fused kernel takes pinhole sources, got {lens.model}")
-    return lens
-
-
-@functools.lru_cache(maxsize=256)
-def _forms(lens: Pinhole) -> Float:
-    """The rows of a source's model as forms (ASIDE, 3) of a point in its frame."""
-    u, v, depth = lens.matrix
-    low = 0.5 + PIXEL_TOLERANCE
-    right, bottom = lens.width_px - 0.5 + PIXEL_TOLERANCE, lens.height_px - 0.5 + PIXEL_TOLERANCE
-    limits = u + low * depth, right * depth - u, v + low * depth, bottom * depth - v, depth
-    chroma = 0.5 * u - 0.25 * depth, 0.5 * v - 0.25 * depth, depth
-    return np.array([*limits, u, v, depth, *chroma, *lens.border_normals(), *np.eye(3)])
 
 
 def _half(size_px: int) -> int:
