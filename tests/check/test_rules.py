@@ -88,6 +88,16 @@ def intrinsic(row: int, column: int, value: float) -> Change:
     return change
 
 
+def distortion(*values: float, **fields: Any) -> Callable[[Bench], object]:
+    """Gives a camera lens distortion."""
+
+    def change(rows: list[Row]) -> None:
+        camera = next(calibration for calibration in rows if calibration["camera_intrinsic"])
+        camera.update(camera_distortion=list(values), **fields)
+
+    return rows_put("calibrated_sensor", change)
+
+
 def no_intrinsic(rows: list[Row]) -> None:
     next(row for row in rows if row["camera_intrinsic"])["camera_intrinsic"] = []
 
@@ -172,6 +182,9 @@ BREAKS: list[tuple[str, str, Callable[[Bench], object]]] = [
     ("CAM-1", "centre", rows_put("calibrated_sensor", intrinsic(0, 2, 800.0))),
     ("CAM-1", "field", rows_put("calibrated_sensor", intrinsic(0, 0, 0.5))),
     ("CAM-2", "lidar", rows_put("calibrated_sensor", matrix_for_a_lidar)),
+    ("CAM-3", "three numbers", distortion(0.1, 0, 0)),
+    ("CAM-3", "folds back", distortion(-50.0, 0, 0, 0)),
+    ("CAM-3", "unknown model", distortion(0.1, 0, 0, 0, camera_model="omni")),
     ("FILE-1", "..", rows_put("sample_data", lambda rows: camera_row(rows).update(filename="../x.jpg"))),
     ("FILE-1", "absolute", rows_put("map", lambda rows: rows[0].update(filename="/etc/hostname"))),
     ("FILE-1", "link", link_out),
@@ -203,6 +216,12 @@ def test_a_clean_dataset(painted: Path) -> None:
     assert found.not_checked == []
     assert found.opened_with_devkit
     assert list(found.counts) == [rule.id for rule in RULES]
+
+
+@pytest.mark.parametrize("model", [None, "opencv", "fisheye"])
+def test_a_lens_is_no_finding(bench: Bench, model: str | None) -> None:
+    distortion(0.05, -0.01, 0.002, -0.0003, camera_model=model)(bench)
+    assert broken(validated(bench.src)) == set()
 
 
 def test_large_tables_give_the_same_findings(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

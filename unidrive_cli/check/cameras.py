@@ -1,4 +1,4 @@
-"""CAM: intrinsics must be those of a camera, and only cameras have any."""
+"""CAM: intrinsics and distortion must be those of a camera, and only cameras have any."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from unidrive_cli.check.finding import Broken
 from unidrive_cli.check.subject import Subject, at
-from unidrive_cli.errors import GeometryError
+from unidrive_cli.errors import DatasetError, GeometryError
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.tables.table import Indices
 
@@ -37,6 +37,24 @@ def intrinsics_of_others(subject: Subject) -> Iterator[Broken]:
     for row, modality in zip(table.rows, _modalities(subject), strict=True):
         if modality in ("lidar", "radar") and row.camera_intrinsic:
             yield table.place(row, "camera_intrinsic"), f"is of a {modality}, which has none: [] was expected."
+
+
+def wrong_distortion(subject: Subject) -> Iterator[Broken]:
+    """A camera's camera_distortion, where it has one, is that of a lens: 4, 5, 8, 12 or 14 numbers in OpenCV's order
+    (4 of a fisheye, by camera_model) that do not fold back near the principal point.
+
+    Pictures are taken for rectified, or for what they are not.
+    """
+    table = subject.dataset.calibrated_sensor
+    widths, heights = _sizes(subject)
+    for row, modality, width, height in zip(table.rows, _modalities(subject), widths, heights, strict=True):
+        size = int(width), int(height)
+        if modality != "camera" or min(size) <= 0 or _fault(row.camera_intrinsic, *size):
+            continue
+        try:
+            subject.dataset.lens(row, *size)
+        except DatasetError as error:
+            yield error.where, error.what
 
 
 def _fault(intrinsic: object, width_px: int, height_px: int) -> str:

@@ -103,6 +103,7 @@ RULES = (
     Rule("BOX-1", "error", poses.sizeless_boxes),
     Rule("CAM-1", "error", cameras.wrong_intrinsics, devkit=True),
     Rule("CAM-2", "error", cameras.intrinsics_of_others),
+    Rule("CAM-3", "error", cameras.wrong_distortion),
     Rule("FILE-1", "error", files.files_outside, devkit=True),
     Rule("FILE-2", "error", files.missing_files, devkit=True),
     Rule("PIC-1", "error", files.pictures_of_other_size),
