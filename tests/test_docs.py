@@ -23,6 +23,7 @@ from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.yaml_file import parse_rig
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.tables.layouts import known
+from unidrive_cli.tables.lenses import read_lenses
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -78,6 +79,16 @@ def test_the_array_job_of_the_docs_runs(tmp_path: Path) -> None:
 def test_make_targets_that_the_readme_names_exist() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"\bmake ([a-z-]+)\b(?= |`|\n)", (ROOT / "README.md").read_text())) <= targets
+
+
+def test_the_lens_file_of_the_docs_is_valid(tmp_path: Path) -> None:
+    (text,) = code_blocks(ROOT / "docs" / "lenses.md", "yaml")
+    (tmp_path / "lenses.yaml").write_text(text)
+    lenses = read_lenses(tmp_path / "lenses.yaml")
+    assert {channel: lens.model for channel, lens in lenses.items()} == {
+        "CAM_FRONT": "opencv",
+        "CAM_BACK": "fisheye",
+    }
 
 
 def test_the_rig_file_of_the_docs_is_valid() -> None:
