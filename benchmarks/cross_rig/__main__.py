@@ -1,0 +1,131 @@
+"""Runs the benchmark, piece by piece; the same command continues.
+
+    python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight] [--only NAME]
+
+FOLDER gets `data/` (rendered and converted drives), `weights/` and `results/`: one JSON file for each detector on
+each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from benchmarks.cross_rig.config import Config, Drive, Setting, Training, full, quick
+from benchmarks.cross_rig.drives import convert_drive, converted, render
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    part.write_text(json.dumps(document, indent=1))
+    part.replace(path)
+
+
+def say(text: str) -> None:
+    print(time.strftime("%H:%M:%S"), text, flush=True)
+
+
+def result_path(work: Path, training: Training, rig: str) -> Path:
+    return work / "results" / training.name / f"{rig}.json"
+
+
+def learn_and_score(work: Path, config: Config, training: Training) -> str:
+    """Trains one detector, unless its weights are there, and scores it on each rig where it was not yet."""
+    import torch
+
+    from benchmarks.cross_rig.detector import DETECTORS
+    from benchmarks.cross_rig.frames import read_frames
+    from benchmarks.cross_rig.learning import Seen, find, train
+    from benchmarks.cross_rig.scoring import score
+
+    torch.set_num_threads(1)
+    data = work / "data"
+    weights = work / "weights" / f"{training.name}.pt"
+    started = time.process_time()
+    if weights.is_file():
+        detector = DETECTORS[training.detector]()
+        detector.load_state_dict(torch.load(weights, weights_only=True))
+        detector.eval()
+    else:
+        seen = []
+        for rig in training.rigs:
+            pieces = [read_frames(converted(data, drive, training.setting, rig)) for drive in config.train]
+            seen.append(Seen(pieces[0][0], [frame for _, frames in pieces for frame in frames]))
+        detector = train(
+            training.detector, seen, config.iterations, config.batch, config.learning_rate, training.seed
+        )
+        weights.parent.mkdir(parents=True, exist_ok=True)
+        part = weights.with_suffix(".part")
+        torch.save(detector.state_dict(), part)
+        part.replace(weights)
+    trained_s = time.process_time() - started
+    said = []
+    for rig in training.tested:
+        result = result_path(work, training, rig)
+        if result.is_file():
+            continue
+        root = converted(data, config.test, training.setting, rig)
+        rig_seen, frames = read_frames(root)
+        document = score(root, frames, find(detector, Seen(rig_seen, frames)))
+        write_json(result, {**document, "training_cpu_s": round(trained_s, 1)})
+        said.append(f"{rig} {document['mAP']:.3f}")
+    return f"{training.name}: {', '.join(said)} ({time.process_time() - started:.0f} s of CPU time)"
+
+
+def in_processes(tasks: Iterable[Callable[[], str]], workers: int) -> None:
+    """Runs tasks in order, so many at once."""
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for done in [pool.submit(task) for task in tasks]:
+            say(done.result())
+
+
+def conversions(config: Config) -> list[tuple[Drive, Setting, str]]:
+    """What must be converted, in the order in which trainings need it."""
+    needed = (
+        (drive, training.setting, rig)
+        for training in config.trainings
+        for drives, rigs in ((config.train, training.rigs), ((config.test,), training.tested))
+        for drive in drives
+        for rig in rigs
+        if training.setting.virtual
+    )
+    return list(dict.fromkeys(needed))
+
+
+def run(work: Path, config: Config, workers: int) -> None:
+    data = work / "data"
+    for drive in config.train:
+        render(data, drive, config.train_rigs, workers)
+        say(f"rendered {drive.name}")
+    render(data, config.test, config.test_rigs, workers)
+    say("rendered test")
+    for drive, setting, rig in conversions(config):
+        convert_drive(data, drive, setting, rig, workers)
+    say("converted")
+    todo = [t for t in config.trainings if not all(result_path(work, t, rig).is_file() for rig in t.tested)]
+    in_processes((partial(learn_and_score, work, config, training) for training in todo), workers)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("size", choices=("quick", "full"))
+    parser.add_argument("--work", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--all-eight", action="store_true", help="train on all eight rigs, not on the paper's four")
+    chosen = parser.parse_args()
+    config = quick() if chosen.size == "quick" else full(chosen.all_eight)
+    run(chosen.work or Path(f"cross-rig-{config.name}"), config, chosen.workers)
+
+
+if __name__ == "__main__":
+    main()

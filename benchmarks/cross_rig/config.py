@@ -1,0 +1,152 @@
+"""All that can be chosen about the benchmark, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+PAPER_RIGS = ("4x95", "5x75", "6x80a", "6x80b", "6x70", "6x60", "8x50", "5x70+110")
+TRAINED = ("6x60", "6x80a", "6x80b", "5x70+110")
+"""The four training rigs of the paper's tables."""
+LENSES = {"6x60-at-70": 70.0, "6x60-at-80": 80.0}
+"""6x60 with other lenses (degrees) and nothing else changed."""
+HEIGHTS = {"6x60-at-1.4m": 1.4, "6x60-at-1.8m": 1.8, "6x60-at-2.5m": 2.5}
+"""6x60, which stands at 1.6 m, at other heights (metres) and nothing else changed."""
+PICTURE = (320, 180)
+"""Pixels of rendered and virtual pictures, twice the detector's."""
+SEEN = (160, 96)
+"""Pixels of what the detector sees."""
+CLASSES = ("car", "truck", "bus", "pedestrian", "motorcycle", "bicycle")
+"""The paper's six, under nuScenes' detection names."""
+RANGE_M = 25
+"""Boxes count up to so far from the ego origin: the circle in the detector's grid."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is done to the pictures before the detector sees them.
+
+    Attributes:
+        virtual: a shipped virtual rig; the pictures stay as they are where it is empty.
+        depth_limit_m: D0; the rig's own default where None.
+        common: black what not all of the paper's rigs fill (`--common-with`).
+    """
+
+    name: str
+    virtual: str = ""
+    depth_limit_m: float | None = None
+    common: bool = False
+    blend: str = "angular"
+
+
+RAW = Setting("raw")
+INTUITIVE = Setting("intuitive", "intuitive-6")
+OPTIMISED = Setting("optimised", "unidrive-optimised-6")
+COMMON = replace(OPTIMISED, name="optimised-common", common=True)
+MAIN = (RAW, INTUITIVE, OPTIMISED, COMMON)
+NEAREST = replace(COMMON, name="optimised-common-nearest", blend="nearest")
+DEPTHS = tuple(
+    replace(COMMON, name=f"optimised-common-d{depth_m}", depth_limit_m=float(depth_m)) for depth_m in (15, 30, 100)
+)
+INTUITIVE_COMMON = replace(INTUITIVE, name="intuitive-common", common=True)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive that `unidrive synth` makes: the same for all rigs."""
+
+    name: str
+    seed: int
+    scenes: int
+    keyframes: int
+
+
+@dataclass(frozen=True)
+class Training:
+    """One detector: what it is, what it learns from, and where it is tested.
+
+    Attributes:
+        rigs: several mean that each frame comes from one of them, in turn.
+    """
+
+    setting: Setting
+    detector: str
+    rigs: tuple[str, ...]
+    seed: int
+    tested: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.setting.name}/{self.detector}/{'+'.join(self.rigs)}/seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole run.
+
+    Attributes:
+        train, test: drives with different seeds; training drives are pieces of one set.
+        trainings: in the order in which they are done.
+    """
+
+    name: str
+    train: tuple[Drive, ...]
+    test: Drive
+    trainings: tuple[Training, ...]
+    iterations: int
+    batch: int = 4
+    learning_rate: float = 2e-3
+    extra_train_rigs: tuple[str, ...] = field(default=())
+
+    @property
+    def train_rigs(self) -> tuple[str, ...]:
+        return _unique(rig for training in self.trainings for rig in training.rigs)
+
+    @property
+    def test_rigs(self) -> tuple[str, ...]:
+        return _unique(rig for training in self.trainings for rig in training.tested)
+
+
+def _unique(names: object) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))  # type: ignore[call-overload]
+
+
+def _matrix(
+    settings: tuple[Setting, ...], detector: str, rigs: tuple[str, ...], seed: int, tested: tuple[str, ...]
+) -> tuple[Training, ...]:
+    return tuple(Training(setting, detector, (rig,), seed, tested) for rig in rigs for setting in settings)
+
+
+def _tests(rig: str) -> tuple[str, ...]:
+    """6x60 is also tested with other lenses and at other heights."""
+    return (*PAPER_RIGS, *LENSES, *HEIGHTS) if rig == "6x60" else PAPER_RIGS
+
+
+def _main(seed: int, rigs: tuple[str, ...] = TRAINED) -> tuple[Training, ...]:
+    return tuple(
+        training for rig in rigs for training in _matrix(MAIN, "lift-splat", (rig,), seed, _tests(rig))
+    )
+
+
+def full(all_eight: bool = False) -> Config:
+    """`make cross-rig`; the headline first, then its spread, then the rest."""
+    mixed = tuple(Training(setting, "lift-splat", TRAINED, 0, PAPER_RIGS) for setting in (RAW, OPTIMISED, COMMON))
+    ablations = _matrix((*DEPTHS, NEAREST, INTUITIVE_COMMON), "lift-splat", ("6x80a", "6x60"), 0, PAPER_RIGS)
+    others = tuple(rig for rig in PAPER_RIGS if rig not in TRAINED)
+    trainings = (
+        *_main(0),
+        *mixed,
+        *_matrix(MAIN, "bilinear", TRAINED, 0, PAPER_RIGS),
+        *ablations,
+        *_main(1),
+        *_main(2),
+        *(_main(0, others) if all_eight else ()),
+    )
+    train = tuple(Drive(f"train{n}", 100 + n, 10, 6) for n in range(6))
+    return Config("full", train, Drive("test", 200, 20, 5), trainings, iterations=900)
+
+
+def quick() -> Config:
+    """`make cross-rig-quick`: the collapse and the way out of it, on two training and four test rigs."""
+    tested = ("6x80a", "6x70", "4x95", "6x60")
+    trainings = _matrix((RAW, OPTIMISED, COMMON), "lift-splat", ("6x80a", "6x60"), 0, tested)
+    return Config("quick", (Drive("train0", 100, 12, 5),), Drive("test", 200, 6, 5), trainings, iterations=300)

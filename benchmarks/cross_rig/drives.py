@@ -1,0 +1,70 @@
+"""The drives: rendered by `unidrive synth`'s own function, converted by `unidrive convert`'s own.
+
+FOLDER/<drive>/<rig> is a rendered dataset, FOLDER/<drive>-<setting>/<rig> a converted one. Cameras fire together,
+as in the paper's simulator, so that rigs differ in their cameras only; every drive may be continued.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.cross_rig.config import COMMON, HEIGHTS, LENSES, PAPER_RIGS, PICTURE, RAW, Config, Drive, Setting
+from unidrive_cli.convert.common import Common
+from unidrive_cli.convert.options import Options
+from unidrive_cli.convert.plan import make_plan
+from unidrive_cli.convert.run import convert
+from unidrive_cli.geometry.lenses import Pinhole
+from unidrive_cli.rig.gallery import load_gallery_rig
+from unidrive_cli.rig.model import Rig
+from unidrive_cli.synth.options import SynthOptions
+from unidrive_cli.synth.run import make_synth_plan, synthesise
+from unidrive_cli.tables.dataset import open_dataset
+from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M
+
+
+def small_rig(name: str) -> Rig:
+    """A shipped rig, or one of the ablations', with pictures of the benchmark's size."""
+    rig = load_gallery_rig(name.split("-at-")[0] if name in LENSES | HEIGHTS else name)
+    cameras = []
+    for camera in rig.cameras:
+        pose = camera.ego_from_cam.copy()
+        pose[2, 3] = HEIGHTS.get(name, pose[2, 3])
+        lens = Pinhole.from_hfov(LENSES.get(name, camera.lens.hfov_deg), *PICTURE)
+        cameras.append(replace(camera, lens=lens, ego_from_cam=pose))
+    return replace(rig, name=name, cameras=tuple(cameras))
+
+
+def rendered(folder: Path, drive: Drive, rig: str) -> Path:
+    return folder / drive.name / rig
+
+
+def converted(folder: Path, drive: Drive, setting: Setting, rig: str) -> Path:
+    """Where the pictures of a setting are; the rendered ones for `raw`."""
+    return folder / f"{drive.name}-{setting.name}" / rig if setting != RAW else rendered(folder, drive, rig)
+
+
+def render(folder: Path, drive: Drive, rigs: tuple[str, ...], jobs: int) -> None:
+    """One drive through several rigs; what is there already stays."""
+    missing = [small_rig(rig) for rig in rigs if not (rendered(folder, drive, rig) / PROVENANCE).is_file()]
+    if not missing:
+        return
+    options = SynthOptions(drive.seed, drive.scenes, drive.keyframes, firing="together", val_share=1.0)
+    plan = make_synth_plan(options, missing, "auto")
+    (folder / drive.name).mkdir(parents=True, exist_ok=True)
+    root = folder / drive.name if len(missing) > 1 else rendered(folder, drive, missing[0].name)
+    synthesise(plan, root, jobs=jobs)
+    for rig in missing:
+        (rendered(folder, drive, rig.name) / PROVENANCE).write_text("finished\n")
+
+
+def convert_drive(folder: Path, drive: Drive, setting: Setting, rig: str, jobs: int) -> None:
+    """One dataset through one virtual rig, verified; what is there already stays."""
+    done = converted(folder, drive, setting, rig)
+    if setting == RAW or (done / "unidrive.json").is_file():
+        return
+    virtual = small_rig(setting.virtual)
+    depth_limit_m = setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M
+    options = Options(depth_limit_m=depth_limit_m, blend=setting.blend, jobs=jobs)  # type: ignore[arg-type]
+    common = Common(tuple(map(small_rig, PAPER_RIGS)), sweep_m=0.0) if setting.common else None
+    convert(make_plan(open_dataset(rendered(folder, drive, rig)), virtual, options, common), done)
