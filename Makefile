@@ -4,10 +4,11 @@ BIN := $(VENV)/bin
 DEMO ?= demo-out
 WORKERS ?= 2
 N ?= 2000
+CROSS ?= cross-rig
 PAPER_RIGS := 4x95 5x75 5x70+110 6x60 6x70 6x80a 6x80b 8x50
 
 .DEFAULT_GOAL := help
-.PHONY: help install test check convert demo bench chaos optimise fuzz clean
+.PHONY: help install test check convert demo bench chaos optimise fuzz cross-rig cross-rig-quick clean
 
 help:                 ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -56,5 +57,17 @@ optimise: install     ## find rigs/unidrive-optimised-6.yaml anew
 fuzz: install         ## break datasets, rigs and pictures: make fuzz N=20000
 	$(BIN)/python -m tests.fuzzing $(N)
 
+$(VENV)/.proof: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,proof]'
+	touch $@
+
+cross-rig-quick: $(VENV)/.proof   ## train two small detectors, test them on four rigs, raw and converted (15 minutes)
+	$(BIN)/python -m benchmarks.cross_rig quick --work $(CROSS)-quick --workers $(WORKERS)
+	$(BIN)/python -m benchmarks.cross_rig.report $(CROSS)-quick --figure $(CROSS)-quick/figure.png
+
+cross-rig: $(VENV)/.proof   ## the tables of docs/results.md (4 hours; the same command continues)
+	$(BIN)/python -m benchmarks.cross_rig full --work $(CROSS)-full --workers $(WORKERS)
+	$(BIN)/python -m benchmarks.cross_rig.report $(CROSS)-full --figure $(CROSS)-full/figure.png
+
 clean:                ## remove what make made
-	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(DEMO) $(CROSS)-quick $(CROSS)-full .pytest_cache .mypy_cache .ruff_cache

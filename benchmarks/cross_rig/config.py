@@ -122,9 +122,7 @@ def _tests(rig: str) -> tuple[str, ...]:
 
 
 def _main(seed: int, rigs: tuple[str, ...] = TRAINED) -> tuple[Training, ...]:
-    return tuple(
-        training for rig in rigs for training in _matrix(MAIN, "lift-splat", (rig,), seed, _tests(rig))
-    )
+    return tuple(training for rig in rigs for training in _matrix(MAIN, "lift-splat", (rig,), seed, _tests(rig)))
 
 
 def full(all_eight: bool = False) -> Config:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.cross_rig.config import COMMON, HEIGHTS, LENSES, PAPER_RIGS, PICTURE, RAW, Config, Drive, Setting
+from benchmarks.cross_rig.config import HEIGHTS, LENSES, PAPER_RIGS, PICTURE, RAW, Drive, Setting
 from unidrive_cli.convert.common import Common
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
@@ -18,7 +18,7 @@ from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.synth.options import SynthOptions
-from unidrive_cli.synth.run import make_synth_plan, synthesise
+from unidrive_cli.synth.run import PROVENANCE, make_synth_plan, synthesise
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M
 

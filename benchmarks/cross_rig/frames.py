@@ -18,6 +18,10 @@ from benchmarks.cross_rig.config import CLASSES, SEEN
 
 Float32 = npt.NDArray[np.float32]
 VERSION = "v1.0-trainval"
+TABLES = (
+    *("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose"),
+    *("sample_annotation", "instance", "category"),
+)
 CATEGORY = {
     "vehicle.car": "car",
     "vehicle.truck": "truck",
@@ -69,11 +73,7 @@ def read_frames(root: Path) -> tuple[Rig, list[Frame]]:
     Raises:
         ValueError: the cameras move, or fire at other times than the sample.
     """
-    tables = {
-        name: json.loads((root / VERSION / f"{name}.json").read_text())
-        for name in ("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose", "sample_annotation")
-        + ("instance", "category")
-    }
+    tables = {name: json.loads((root / VERSION / f"{name}.json").read_text()) for name in TABLES}
     by_token = {name: {row["token"]: row for row in rows} for name, rows in tables.items()}
     pictures: dict[str, dict[str, dict[str, Any]]] = defaultdict(dict)
     for row in tables["sample_data"]:

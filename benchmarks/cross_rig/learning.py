@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch.nn import functional
 from benchmarks.cross_rig.config import CLASSES
 from benchmarks.cross_rig.detector import DETECTORS, Detector
 from benchmarks.cross_rig.frames import Frame, Rig
-from benchmarks.cross_rig.targets import Float32, Targets, decode, encode, turned
+from benchmarks.cross_rig.targets import Float32, Found, Targets, decode, encode, turned
 
 _TURN_RAD = np.deg2rad(22.5)
 _NUMBERS_WEIGHT = 0.5
@@ -29,11 +29,11 @@ class Seen:
 def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: float, seed: int) -> Detector:
     """A detector after so many batches; each batch is of one rig, rigs in turn.
 
-    Augmented by flipped pictures and by a turned or mirrored grid, calibration following; the same for every setting.
+    Augmented by flipped pictures and by a turned or mirrored grid, calibration following; in all settings alike.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    detector = DETECTORS[kind]()
+    detector: Detector = DETECTORS[kind]()
     optimiser = torch.optim.AdamW(detector.parameters(), lr=rate, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=iterations, pct_start=0.2)
     orders = [_shuffled(rng, len(seen.frames)) for seen in data]
@@ -55,10 +55,11 @@ def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: fl
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 5.0)
         optimiser.step()
         schedule.step()
-    return detector.eval()
+    detector.eval()
+    return detector
 
 
-def find(detector: Detector, seen: Seen) -> list[tuple[np.ndarray, Float32, Float32]]:
+def find(detector: Detector, seen: Seen) -> list[Found]:
     """Classes, scores and ego boxes (n, 7) of each frame."""
     still = torch.eye(2)[None]
     found = []
@@ -70,7 +71,7 @@ def find(detector: Detector, seen: Seen) -> list[tuple[np.ndarray, Float32, Floa
     return found
 
 
-def _shuffled(rng: np.random.Generator, count: int):  # type: ignore[no-untyped-def]
+def _shuffled(rng: np.random.Generator, count: int) -> Iterator[int]:
     while True:
         yield from rng.permutation(count)
 
@@ -79,7 +80,8 @@ def _random_turn(rng: np.random.Generator) -> Float32:
     angle = rng.uniform(-_TURN_RAD, _TURN_RAD)
     side = rng.choice([-1.0, 1.0])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return (turn @ np.diag([1.0, side])).astype(np.float32)
+    mirrored: Float32 = (turn @ np.diag([1.0, side])).astype(np.float32)
+    return mirrored
 
 
 def _loss(heat: torch.Tensor, numbers: torch.Tensor, targets: Sequence[Targets]) -> torch.Tensor:

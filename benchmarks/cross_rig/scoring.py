@@ -17,9 +17,8 @@ from pyquaternion import Quaternion
 
 from benchmarks.cross_rig.config import CLASSES, RANGE_M
 from benchmarks.cross_rig.frames import VERSION, Frame
-from benchmarks.cross_rig.targets import Float32
+from benchmarks.cross_rig.targets import Float32, Found
 
-Found = tuple[npt.NDArray[np.int64], Float32, Float32]
 ATTRIBUTE = {
     "car": "vehicle.parked",
     "truck": "vehicle.moving",

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 Float32 = npt.NDArray[np.float32]
+Found = tuple[npt.NDArray[np.int64], Float32, Float32]
+"""Classes (n,), scores (n,), and boxes (n, 7: x, y, z, width, length, height, yaw) in the ego frame."""
 CELLS = 64
 CELL_M = 0.8
 HALF_M = CELLS * CELL_M / 2
@@ -52,7 +54,7 @@ def encode(classes: npt.NDArray[np.int64], boxes: Float32, class_count: int) -> 
     return Targets(heat, cell[:, 0] * CELLS + cell[:, 1], numbers.astype(np.float32))
 
 
-def decode(heat: Float32, numbers: Float32) -> tuple[npt.NDArray[np.int64], Float32, Float32]:
+def decode(heat: Float32, numbers: Float32) -> Found:
     """Boxes at the peaks of a heat map.
 
     Args:
@@ -60,7 +62,7 @@ def decode(heat: Float32, numbers: Float32) -> tuple[npt.NDArray[np.int64], Floa
         numbers: (NUMBERS, CELLS, CELLS).
 
     Returns:
-        Classes (n,), scores (n,) and boxes (n, 7), the best first, 80 at most.
+        The best first, 80 at most.
     """
     padded = np.pad(heat, ((0, 0), (1, 1), (1, 1)))
     around = [padded[:, i : i + CELLS, j : j + CELLS] for i in range(3) for j in range(3)]
