@@ -52,7 +52,7 @@ def test_options_that_are_named_exist(page: Path) -> None:
     helps = re.sub(r"\x1b\[[0-9;]*m", "", helps)
     pages_own = {
         name
-        for file in (ROOT / "benchmarks").glob("*.py")
+        for file in (ROOT / "benchmarks").rglob("*.py")
         for name in re.findall(r"--[a-z][a-z-]+", file.read_text())
     }
     others = r"^(?:#SBATCH|dask|sbatch)\b.*|`(?:dask|sbatch)\b[^`\n]*`|`--n(?:workers|threads)`"

@@ -1,6 +1,6 @@
 """Runs the benchmark, piece by piece; the same command continues.
 
-    python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight] [--only NAME]
+    python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight]
 
 FOLDER gets `data/` (rendered and converted drives), `weights/` and `results/`: one JSON file for each detector on
 each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there.
@@ -89,8 +89,8 @@ def in_processes(tasks: Iterable[Callable[[], str]], workers: int) -> None:
             say(done.result())
 
 
-def conversions(config: Config) -> list[tuple[Drive, Setting, str]]:
-    """What must be converted, in the order in which trainings need it."""
+def conversions(data: Path, config: Config) -> list[tuple[Drive, Setting, str]]:
+    """What is still to be converted, in the order in which trainings need it."""
     needed = (
         (drive, training.setting, rig)
         for training in config.trainings
@@ -99,7 +99,7 @@ def conversions(config: Config) -> list[tuple[Drive, Setting, str]]:
         for rig in rigs
         if training.setting.virtual
     )
-    return list(dict.fromkeys(needed))
+    return [one for one in dict.fromkeys(needed) if not (converted(data, *one) / "unidrive.json").is_file()]
 
 
 def run(work: Path, config: Config, workers: int) -> None:
@@ -109,9 +109,7 @@ def run(work: Path, config: Config, workers: int) -> None:
         say(f"rendered {drive.name}")
     render(data, config.test, config.test_rigs, workers)
     say("rendered test")
-    for drive, setting, rig in conversions(config):
-        convert_drive(data, drive, setting, rig, workers)
-    say("converted")
+    in_processes((partial(convert_drive, data, *one) for one in conversions(data, config)), workers)
     todo = [t for t in config.trainings if not all(result_path(work, t, rig).is_file() for rig in t.tested)]
     in_processes((partial(learn_and_score, work, config, training) for training in todo), workers)
 

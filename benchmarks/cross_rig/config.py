@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 PAPER_RIGS = ("4x95", "5x75", "6x80a", "6x80b", "6x70", "6x60", "8x50", "5x70+110")
 TRAINED = ("6x60", "6x80a", "6x80b", "5x70+110")
@@ -95,7 +96,6 @@ class Config:
     iterations: int
     batch: int = 4
     learning_rate: float = 2e-3
-    extra_train_rigs: tuple[str, ...] = field(default=())
 
     @property
     def train_rigs(self) -> tuple[str, ...]:
@@ -106,8 +106,8 @@ class Config:
         return _unique(rig for training in self.trainings for rig in training.tested)
 
 
-def _unique(names: object) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names))  # type: ignore[call-overload]
+def _unique(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))
 
 
 def _matrix(
@@ -139,7 +139,7 @@ def full(all_eight: bool = False) -> Config:
         *_main(2),
         *(_main(0, others) if all_eight else ()),
     )
-    train = tuple(Drive(f"train{n}", 100 + n, 10, 6) for n in range(6))
+    train = (Drive("train0", 100, 10, 6), Drive("train1", 101, 50, 6))
     return Config("full", train, Drive("test", 200, 20, 5), trainings, iterations=900)
 
 

@@ -24,16 +24,22 @@ LEVELS_M = np.array([0.0, 0.7, 1.4, 2.5], dtype=np.float32)
 _LOW_M, _HIGH_M = -1.0, 4.0
 
 
-def _layer(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels_in, channels_out, 3, stride, 1, bias=False), nn.BatchNorm2d(channels_out), nn.ReLU(True)
-    )
+def _layer(channels_in: int, channels_out: int, side: int = 3, stride: int = 1, reach: int = 1) -> nn.Sequential:
+    """A convolution of a kernel of so many cells a side, with `reach` cells from one to the next."""
+    pad = (side - 1) * reach // 2
+    convolution = nn.Conv2d(channels_in, channels_out, side, stride, pad, dilation=reach, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm2d(channels_out), nn.ReLU(True))
+
+
+def _halved(channels_in: int, channels_out: int, side: int) -> nn.Sequential:
+    """Half the resolution. Kernels of even sides keep the picture's middle in the middle, flipped or not."""
+    return _layer(channels_in, channels_out, side, 2)
 
 
 class _Residual(nn.Module):
-    def __init__(self, channels: int) -> None:
+    def __init__(self, channels: int, reach: int = 1) -> None:
         super().__init__()
-        self.layers = nn.Sequential(_layer(channels, channels), _layer(channels, channels))
+        self.layers = nn.Sequential(_layer(channels, channels), _layer(channels, channels, reach=reach))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x + self.layers(x)
@@ -45,7 +51,7 @@ class _Grid(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.fine = _layer(channels, 24)
-        self.coarse = nn.Sequential(_layer(24, 48, 2), _Residual(48), _layer(48, 64, 2), _Residual(64))
+        self.coarse = nn.Sequential(_halved(24, 48, 4), _Residual(48), _halved(48, 64, 2), _Residual(64))
         self.narrow = nn.Conv2d(64, 32, 1)
         self.joined = _layer(24 + 32, 32)
         self.heat = nn.Conv2d(32, len(CLASSES), 1)
@@ -67,10 +73,10 @@ class Detector(nn.Module):
     def __init__(self, picture_channels: int, grid_channels: int) -> None:
         super().__init__()
         self.picture = nn.Sequential(
-            _layer(3, WIDTH, 2),
-            _layer(WIDTH, 2 * WIDTH, 2),
-            _layer(2 * WIDTH, 3 * WIDTH, 2),
-            _Residual(3 * WIDTH),
+            _halved(3, WIDTH, 4),
+            _halved(WIDTH, 2 * WIDTH, 4),
+            _halved(2 * WIDTH, 3 * WIDTH, 2),
+            _Residual(3 * WIDTH, reach=3),
             nn.Conv2d(3 * WIDTH, picture_channels, 1),
         )
         self.grid = _Grid(grid_channels)

@@ -58,13 +58,12 @@ def render(folder: Path, drive: Drive, rigs: tuple[str, ...], jobs: int) -> None
         (rendered(folder, drive, rig.name) / PROVENANCE).write_text("finished\n")
 
 
-def convert_drive(folder: Path, drive: Drive, setting: Setting, rig: str, jobs: int) -> None:
-    """One dataset through one virtual rig, verified; what is there already stays."""
+def convert_drive(folder: Path, drive: Drive, setting: Setting, rig: str) -> str:
+    """One dataset through one virtual rig, verified, in this process; says what was done."""
     done = converted(folder, drive, setting, rig)
-    if setting == RAW or (done / "unidrive.json").is_file():
-        return
     virtual = small_rig(setting.virtual)
     depth_limit_m = setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M
-    options = Options(depth_limit_m=depth_limit_m, blend=setting.blend, jobs=jobs)  # type: ignore[arg-type]
+    options = Options(depth_limit_m=depth_limit_m, blend=setting.blend)  # type: ignore[arg-type]
     common = Common(tuple(map(small_rig, PAPER_RIGS)), sweep_m=0.0) if setting.common else None
     convert(make_plan(open_dataset(rendered(folder, drive, rig)), virtual, options, common), done)
+    return f"converted {done.relative_to(folder)}"

@@ -16,6 +16,7 @@ from benchmarks.cross_rig import paper
 from benchmarks.cross_rig.config import CLASSES, HEIGHTS, LENSES, MAIN, PAPER_RIGS, TRAINED
 from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, read_results, retention, spread
 
+BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 Results = Mapping[Key, Mapping[str, Mapping[str, Mapping[str, Any]]]]
 
 
@@ -186,9 +187,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--figure", type=Path, help="draw the heat maps (needs matplotlib)")
+    parser.add_argument(
+        "--into", type=Path, help="put the tables between this page's marks instead of printing them"
+    )
     chosen = parser.parse_args()
     results = read_results(chosen.work)
-    print("\n\n".join(sections(results)))
+    text = "\n\n".join(sections(results))
+    if chosen.into:
+        before, rest = chosen.into.read_text().split(BEGIN)
+        chosen.into.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.split(END)[1]}")
+    else:
+        print(text)
     if chosen.figure:
         draw(results, chosen.figure)
 

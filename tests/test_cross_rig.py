@@ -1,0 +1,173 @@
+"""The cross-rig benchmark's arithmetic and geometry; what it measures is measured by `make cross-rig`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.cross_rig import paper
+from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, full, quick
+from benchmarks.cross_rig.drives import small_rig
+from benchmarks.cross_rig.frames import Rig
+from benchmarks.cross_rig.report import sections
+from benchmarks.cross_rig.retention import Key, read_results, retention, spread
+from benchmarks.cross_rig.targets import CELL_M, HALF_M, decode, encode, turned
+from unidrive_cli.rig.gallery import load_gallery_rig
+
+BOXES = np.array(
+    [
+        [10.3, -4.9, 0.8, 1.9, 4.5, 1.6, 0.3],
+        [-20.1, 17.2, 1.1, 0.6, 0.7, 1.8, -2.9],
+        [0.0, 0.0, 2.0, 2.9, 11.0, 3.4, np.pi / 2],
+    ],
+    np.float32,
+)
+KINDS = np.array([0, 3, 2])
+
+
+def test_a_figure_of_the_paper_is_what_its_text_says() -> None:
+    raw, unified = retention(paper.RAW), retention(paper.UNIFIED)
+    assert round(raw.kept, 2) == 0.21
+    assert round(unified.kept, 2) == 0.94
+    assert (raw.worst, raw.worst_pair) == (0.2, ("6x80b", "8x50"))
+    assert (unified.worst, unified.worst_pair) == (53.6, ("6x80b", "4x95"))
+
+
+def test_retention_counts_each_training_rig_alike() -> None:
+    kept = retention({"a": {"a": 0.8, "b": 0.4}, "c": {"c": 0.4, "a": 0.3, "b": 0.1}})
+    assert (kept.own, kept.others, kept.kept) == pytest.approx((0.6, 0.3, 0.5))
+    assert (kept.worst, kept.worst_pair) == (0.1, ("c", "b"))
+    assert retention({"a": {"a": 0.0, "b": 0.0}}).kept == 0
+
+
+def test_the_spread_is_the_standard_deviation_of_a_sample() -> None:
+    assert spread([0.5]) == "50.0"
+    assert spread([0.4, 0.5, 0.6]) == "50.0 ± 10.0"
+
+
+def test_boxes_survive_the_grid() -> None:
+    targets = encode(KINDS, BOXES, len(CLASSES))
+    numbers = np.zeros((targets.numbers.shape[1], *targets.heat.shape[1:]), np.float32)
+    numbers.reshape(len(numbers), -1)[:, targets.cells] = targets.numbers.T
+    kinds, scores, boxes = decode(targets.heat, numbers)
+    order = np.lexsort([boxes[:, 0]])
+    wanted = np.lexsort([BOXES[:, 0]])
+    assert kinds[order].tolist() == KINDS[wanted].tolist()
+    assert scores.tolist() == [1.0, 1.0, 1.0]
+    np.testing.assert_allclose(boxes[order], BOXES[wanted], atol=1e-4)
+
+
+def test_boxes_outside_the_grid_teach_nothing() -> None:
+    outside = BOXES[:1].copy()
+    outside[0, 0] = HALF_M + 0.01
+    targets = encode(KINDS[:1], outside, len(CLASSES))
+    assert targets.heat.max() == 0
+    assert len(targets.cells) == 0
+
+
+def test_turned_boxes_keep_their_heading_relative_to_their_place() -> None:
+    quarter = np.array([[0, -1], [1, 0]], np.float32)
+    mirror = np.diag([1, -1]).astype(np.float32)
+    assert turned(BOXES[:1], quarter)[0] == pytest.approx([4.9, 10.3, 0.8, 1.9, 4.5, 1.6, 0.3 + np.pi / 2])
+    assert turned(BOXES[:1], mirror)[0] == pytest.approx([10.3, 4.9, 0.8, 1.9, 4.5, 1.6, -0.3])
+
+
+def test_small_rigs_see_what_the_large_ones_see() -> None:
+    for name in PAPER_RIGS:
+        for small, large in zip(small_rig(name).cameras, load_gallery_rig(name).cameras, strict=True):
+            assert (small.lens.width_px, small.lens.height_px) == PICTURE
+            assert small.lens.hfov_deg == pytest.approx(large.lens.hfov_deg)
+            np.testing.assert_array_equal(small.ego_from_cam, large.ego_from_cam)
+
+
+def test_rigs_of_the_ablations_differ_in_one_thing() -> None:
+    base, lens, height = (small_rig(name).cameras for name in ("6x60", "6x60-at-80", "6x60-at-2.5m"))
+    for before, wide, high in zip(base, lens, height, strict=True):
+        assert wide.lens.hfov_deg == pytest.approx(80)
+        np.testing.assert_array_equal(wide.ego_from_cam, before.ego_from_cam)
+        assert high.lens.hfov_deg == pytest.approx(60)
+        assert (high.ego_from_cam - before.ego_from_cam)[:3, 3] == pytest.approx([0, 0, 0.9])
+
+
+def test_the_runs_hold_what_the_results_need() -> None:
+    config = full()
+    names = [training.name for training in config.trainings]
+    assert len(set(names)) == len(names)
+    main = [t for t in config.trainings if t.detector == "lift-splat" and len(t.rigs) == 1]
+    for setting in ("raw", "intuitive", "optimised", "optimised-common"):
+        assert len([t for t in main if t.setting.name == setting]) == 4 * 3  # training rigs, seeds
+    assert len(full(all_eight=True).trainings) == len(names) + 4 * 4
+    for each in (config, quick()):
+        assert each.test.seed not in {drive.seed for drive in each.train}
+
+
+def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
+    for rig, figure in zip(PAPER_RIGS, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), strict=True):
+        path = tmp_path / "results" / "raw" / "lift-splat" / "6x60" / "seed1" / f"{rig}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"mAP": figure, "NDS": 0.5, "AP": {"car": figure}}))
+    results = read_results(tmp_path)
+    assert list(results) == [Key("raw", "lift-splat", 1)]
+    text = "\n".join(sections(results))
+    assert "| raw | lift-splat | 1 (1) | 60.0 | 42.9 | 71 % | 10.0 (6x60 on 4x95) | 50.0 |" in text
+    assert "| 6x60 | 10.0 | 20.0 | 30.0 | 40.0 | 50.0 | **60.0** | 70.0 | 80.0 |" in text
+
+
+def _calibration(name: str) -> Rig:
+    rig = small_rig(name)
+    scale = np.diag([SEEN[0] / PICTURE[0], SEEN[1] / PICTURE[1], 1.0])
+    to_edge = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    intrinsics = [np.linalg.inv(to_edge) @ scale @ to_edge @ camera.lens.matrix for camera in rig.cameras]
+    return Rig(
+        np.array(intrinsics, np.float32), np.array([camera.ego_from_cam for camera in rig.cameras], np.float32)
+    )
+
+
+def test_both_lifts_put_what_a_camera_sees_where_it_stands() -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'unidrive[proof]'")
+    from benchmarks.cross_rig.detector import DEPTHS_M, STRIDE, WIDTH, Bilinear, LiftSplat
+
+    rig = _calibration("6x70")
+    place = np.array([12.0, 3.5, 0.7, 1.0])  # metres in the ego frame, ahead and a little to the left
+    cam = np.linalg.inv(rig.ego_from_cam[0]) @ place
+    pixel = (rig.intrinsics[0] @ cam[:3])[:2] / cam[2]
+    u, v = np.rint((pixel - (STRIDE - 1) / 2) / STRIDE).astype(int)
+    cell = tuple(np.floor((place[:2] + HALF_M) / CELL_M).astype(int))
+    features = torch.zeros(1, 6, len(DEPTHS_M) + WIDTH, SEEN[1] // STRIDE, SEEN[0] // STRIDE)
+    features[0, 0, len(DEPTHS_M), v, u] = 1.0
+    features[0, 0, np.abs(DEPTHS_M - cam[2]).argmin(), v, u] = 50.0
+    still, plain = torch.eye(2)[None], torch.zeros(1, dtype=torch.bool)
+    splat = LiftSplat().lift(features, rig, plain, still)[0, 0].numpy()
+    assert np.abs(np.array(np.unravel_index(splat.argmax(), splat.shape)) - cell).max() <= 1
+    content = torch.zeros(1, 6, WIDTH, *features.shape[3:])
+    content[0, 0, 0, v, u] = 1.0
+    mirror = torch.diag(torch.tensor([1.0, -1.0]))[None]
+    for turn, side in ((still, 1), (mirror, -1)):
+        lifted = Bilinear().lift(content, rig, plain, turn)[0].unflatten(0, (WIDTH, 4))[0, 1].numpy()
+        where = np.argwhere(lifted > 0.5 * lifted.max()) * CELL_M - HALF_M + CELL_M / 2
+        ahead = np.array([12.0, side * 3.5]) - [1.8, 0]
+        bearings = np.arctan2(where[:, 1], where[:, 0] - 1.8)
+        assert np.abs(bearings - np.arctan2(ahead[1], ahead[0])).max() < np.deg2rad(5)
+
+
+def test_flipped_pictures_give_the_same_grid_but_for_what_is_learned() -> None:
+    """With weights that are symmetric, flipping the pictures on the way in changes nothing."""
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'unidrive[proof]'")
+    from benchmarks.cross_rig.detector import LiftSplat
+
+    torch.manual_seed(0)
+    detector = LiftSplat().eval()
+    for weights in detector.picture.parameters():
+        if weights.dim() == 4:
+            weights.data = (weights + weights.flip(-1)) / 2
+    pictures = torch.randint(0, 255, (1, 6, 3, SEEN[1], SEEN[0]), dtype=torch.uint8)
+    with torch.inference_mode():
+        heat, flipped = (
+            detector(pictures, _calibration("6x70"), torch.tensor([flip]), torch.eye(2)[None])[0]
+            for flip in (False, True)
+        )
+    torch.testing.assert_close(heat, flipped, atol=1e-4, rtol=1e-4)
+    assert heat.std() > 1e-4
