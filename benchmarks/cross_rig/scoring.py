@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
 from collections import Counter
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +41,8 @@ def score(root: Path, frames: list[Frame], found: list[Found]) -> dict[str, Any]
     """
     config = config_factory("detection_cvpr_2019")
     config.class_range = dict.fromkeys(config.class_range, RANGE_M)
-    nuscenes = NuScenes(VERSION, str(root), verbose=False)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, redirect_stderr(io.StringIO()):  # the devkit's progress bars
+        nuscenes = NuScenes(VERSION, str(root), verbose=False)
         result = Path(folder) / "result.json"
         results = {frame.token: _boxes(frame, *said) for frame, said in zip(frames, found, strict=True)}
         result.write_text(json.dumps({"meta": {"use_camera": True}, "results": results}))
