@@ -112,7 +112,7 @@ def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
     results = read_results(tmp_path)
     assert list(results) == [Key("raw", "lift-splat", 1)]
     text = "\n".join(sections(results))
-    assert "| raw | lift-splat | 1 (1) | 60.0 | 42.9 | 71 % | 10.0 (6x60 on 4x95) | 50.0 |" in text
+    assert "| raw | lift-splat | 1 (1) | 60.0 | 42.9 | 71 % | 10.0 (6x60 on 4x95) | 50.0 | 100 % |" in text
     assert "| 6x60 | 10.0 | 20.0 | 30.0 | 40.0 | 50.0 | **60.0** | 70.0 | 80.0 |" in text
 
 

@@ -49,6 +49,9 @@ DEPTHS = tuple(
     replace(COMMON, name=f"optimised-common-d{depth_m}", depth_limit_m=float(depth_m)) for depth_m in (15, 30, 100)
 )
 INTUITIVE_COMMON = replace(INTUITIVE, name="intuitive-common", common=True)
+VARIANTS = (*DEPTHS, NEAREST, INTUITIVE_COMMON)
+VARIANTS_TRAINED = ("6x80a", "6x60")
+"""The training rigs of the variants: one that fills the virtual rigs, one that does not."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Training:
 
     @property
     def name(self) -> str:
-        return f"{self.setting.name}/{self.detector}/{'+'.join(self.rigs)}/seed{self.seed}"
+        return f"{self.setting.name}/{self.detector}/{','.join(self.rigs)}/seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ def _main(seed: int, rigs: tuple[str, ...] = TRAINED) -> tuple[Training, ...]:
 def full(all_eight: bool = False) -> Config:
     """`make cross-rig`; the headline first, then its spread, then the rest."""
     mixed = tuple(Training(setting, "lift-splat", TRAINED, 0, PAPER_RIGS) for setting in (RAW, OPTIMISED, COMMON))
-    ablations = _matrix((*DEPTHS, NEAREST, INTUITIVE_COMMON), "lift-splat", ("6x80a", "6x60"), 0, PAPER_RIGS)
+    ablations = _matrix(VARIANTS, "lift-splat", VARIANTS_TRAINED, 0, PAPER_RIGS)
     others = tuple(rig for rig in PAPER_RIGS if rig not in TRAINED)
     trainings = (
         *_main(0),

@@ -13,7 +13,16 @@ from statistics import mean
 from typing import Any
 
 from benchmarks.cross_rig import paper
-from benchmarks.cross_rig.config import CLASSES, HEIGHTS, LENSES, MAIN, PAPER_RIGS, TRAINED
+from benchmarks.cross_rig.config import (
+    CLASSES,
+    HEIGHTS,
+    LENSES,
+    MAIN,
+    PAPER_RIGS,
+    TRAINED,
+    VARIANTS,
+    VARIANTS_TRAINED,
+)
 from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, read_results, retention, spread
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
@@ -29,44 +38,70 @@ def percent(figure: float) -> str:
     return f"{figure * 100:.1f}"
 
 
-def matrices(results: Results, setting: str, detector: str, what: str = "mAP") -> list[Matrix]:
-    """One matrix a seed, of the seeds that have any row."""
+def matrices(
+    results: Results, setting: str, detector: str, what: str = "mAP", trained: tuple[str, ...] = PAPER_RIGS
+) -> list[Matrix]:
+    """One matrix a seed, of the seeds that have any row of some training rigs."""
     keys = sorted(
         (key for key in results if (key.setting, key.detector) == (setting, detector)), key=lambda k: k.seed
     )
-    found = [matrix_of(results[key], PAPER_RIGS, what) for key in keys]
+    whole = [matrix_of(results[key], PAPER_RIGS, what) for key in keys]
+    found = [{rig: row for rig, row in matrix.items() if rig in trained} for matrix in whole]
     return [matrix for matrix in found if matrix]
 
 
+HEAD = [
+    *("setting", "detector", "seeds (training rigs of each)", "own mAP", "other rigs' mAP", "retention"),
+    *("worst pair", "own NDS", "NDS retention"),
+]
+
+
 def headline(results: Results) -> str:
-    """Retention by setting; seeds that lack a training rig which another seed has are said by their number."""
+    """Retention by setting, beside the paper's."""
     rows = [paper_row("paper, raw", paper.RAW), paper_row("paper, unified", paper.UNIFIED)]
-    settings = sorted({(key.setting, key.detector) for key in results}, key=_in_order)
-    for setting, detector in settings:
-        found = matrices(results, setting, detector)
-        if not found:
-            continue
-        kept = [retention(matrix) for matrix in found]
-        worst = min(kept, key=lambda one: one.worst)
-        rows.append(
-            [
-                setting,
-                detector,
-                f"{len(found)} ({'/'.join(str(len(matrix)) for matrix in found)})",
-                spread([one.own for one in kept]),
-                spread([one.others for one in kept]),
-                f"{spread([one.kept for one in kept], '.0f')} %",
-                f"{spread([one.worst for one in kept])} ({' on '.join(worst.worst_pair)})",
-                spread([mean(retention(matrix).own for matrix in matrices(results, setting, detector, "NDS"))]),
-            ]
-        )
-    head = ["setting", "detector", "seeds (training rigs)", "own mAP", "other rigs' mAP", "retention", "worst pair"]
-    return table([*head, "own NDS"], rows)
+    for detector in ("lift-splat", "bilinear"):
+        rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in MAIN)
+    return table(HEAD, [row for row in rows if row])
 
 
-def _in_order(pair: tuple[str, str]) -> tuple[bool, int, str]:
-    names = [setting.name for setting in MAIN]
-    return pair[1] != "lift-splat", names.index(pair[0]) if pair[0] in names else len(names), pair[0]
+def variants(results: Results) -> str:
+    """Retention of what is varied, beside the main settings with the same training rigs and the same seed."""
+    rows = [retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, 1) for setting in (*MAIN[1:], *VARIANTS)]
+    return table(HEAD, [row for row in rows if row])
+
+
+def retained(
+    setting: str, detector: str, results: Results, trained: tuple[str, ...], seeds: int | None
+) -> list[str]:
+    """A row of HEAD; empty where there are no results."""
+    found, scores = (matrices(results, setting, detector, what, trained)[:seeds] for what in ("mAP", "NDS"))
+    if not found:
+        return []
+    kept, nds = [retention(matrix) for matrix in found], [retention(matrix) for matrix in scores]
+    worst = min(kept, key=lambda one: one.worst)
+    return [
+        setting,
+        detector,
+        f"{len(found)} ({', '.join(str(len(matrix)) for matrix in found)})",
+        spread([one.own for one in kept]),
+        spread([one.others for one in kept]),
+        f"{spread([one.kept for one in kept], '.0f')} %",
+        f"{spread([one.worst for one in kept])} ({' on '.join(worst.worst_pair)})",
+        spread([one.own for one in nds]),
+        f"{spread([one.kept for one in nds], '.0f')} %",
+    ]
+
+
+def mixed(results: Results) -> str:
+    """One detector for four rigs at once: mAP on these and on the four that it never saw."""
+    rows = []
+    for setting in MAIN:
+        documents = results.get(Key(setting.name, "lift-splat", 0), {}).get(",".join(TRAINED), {})
+        if all(rig in documents for rig in PAPER_RIGS):
+            seen = mean(documents[rig]["mAP"] for rig in TRAINED)
+            new = mean(documents[rig]["mAP"] for rig in PAPER_RIGS if rig not in TRAINED)
+            rows.append([setting.name, percent(seen), percent(new), f"{new / seen:.0%}"])
+    return table(["setting", "its four rigs", "the other four", "kept"], rows)
 
 
 def paper_row(name: str, matrix: Matrix) -> list[str]:
@@ -80,6 +115,7 @@ def paper_row(name: str, matrix: Matrix) -> list[str]:
         percent(one.others),
         f"{one.kept * 100:.0f} %",
         f"{percent(one.worst)} ({pair})",
+        "-",
         "-",
     ]
 
@@ -96,7 +132,7 @@ def full_table(results: Results, setting: str, detector: str) -> str:
     rows = [
         [
             trained,
-            *(_cell(cells.get((trained, rig), []), rig == trained) for rig in PAPER_RIGS),
+            *(_cell(cells.get((trained, rig), []), rig in trained.split(",")) for rig in PAPER_RIGS),
         ]
         for trained in trained_on
     ]
@@ -150,6 +186,8 @@ def sections(results: Results) -> Iterator[str]:
             yield f"## {setting}, {detector}: mAP\n\n{full_table(results, setting, detector)}"
     for each in MAIN:
         yield f"## {each.name}, lift-splat: AP by class\n\n{classes(results, each.name, 'lift-splat')}"
+    yield f"## Depth limit, blend, common coverage\n\n{variants(results)}"
+    yield f"## Four rigs at once\n\n{mixed(results)}"
     yield f"## Lenses\n\n{ablation(results, tuple(LENSES))}"
     yield f"## Heights\n\n{ablation(results, tuple(HEIGHTS))}"
 
