@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.cross_rig import paper
+from benchmarks.cross_rig import paper, scoring
 from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, full, quick
 from benchmarks.cross_rig.drives import small_rig
-from benchmarks.cross_rig.frames import Rig
+from benchmarks.cross_rig.frames import Rig, read_frames
 from benchmarks.cross_rig.report import sections
 from benchmarks.cross_rig.retention import Key, read_results, retention, spread
 from benchmarks.cross_rig.targets import CELL_M, HALF_M, decode, encode, turned
+from tests.datasets import unidrive
+from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.rig.gallery import load_gallery_rig
+from unidrive_cli.rig.yaml_writing import dump_rig
 
 BOXES = np.array(
     [
@@ -116,6 +119,37 @@ def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
     assert "| 6x60 | 10.0 | 20.0 | 30.0 | 40.0 | 50.0 | **60.0** | 70.0 | 80.0 |" in text
 
 
+def test_the_truth_found_in_a_converted_dataset_scores_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, rig, virtual = tmp_path / "source", tmp_path / "rig.yaml", tmp_path / "virtual"
+    cameras = nuscenes_like_cameras(0.05)
+    write_painted(
+        source,
+        version="v1.0-trainval",
+        scenes=2,
+        samples_per_scene=3,
+        cameras=cameras,
+        supersample=1,
+        lidar_sweeps=0,
+    )
+    rig.write_text(dump_rig(small_rig("intuitive-6")))
+    with pytest.raises(ValueError, match="do not fire together"):
+        read_frames(source)
+    assert unidrive("convert", source, virtual, "--rig", rig, "--scene", "scene-0103", "--jobs", 0).code == 0
+    calibration, frames = read_frames(virtual)
+    np.testing.assert_allclose(calibration.intrinsics, _calibration("intuitive-6").intrinsics[_BY_NAME], atol=1e-4)
+    assert frames[0].pictures.shape == (6, 3, SEEN[1], SEEN[0])
+    monkeypatch.setattr(scoring, "LEAST_BOXES", 3)
+    truth = [(frame.classes, np.ones(len(frame.classes), np.float32), frame.boxes) for frame in frames]
+    score = scoring.score(virtual, frames, truth)
+    assert score["mAP"] == pytest.approx(1)
+    assert {"car", "pedestrian"} <= set(score["AP"])
+    assert max(score["errors"][name] for name in ("trans_err", "scale_err", "orient_err")) < 1e-3
+    moved = [(kinds, scores, boxes + np.array([5, 0, 0, 0, 0, 0, 0], np.float32)) for kinds, scores, boxes in truth]
+    assert scoring.score(virtual, frames, moved)["mAP"] < 0.2
+
+
 def _calibration(name: str) -> Rig:
     rig = small_rig(name)
     scale = np.diag([SEEN[0] / PICTURE[0], SEEN[1] / PICTURE[1], 1.0])
@@ -124,6 +158,9 @@ def _calibration(name: str) -> Rig:
     return Rig(
         np.array(intrinsics, np.float32), np.array([camera.ego_from_cam for camera in rig.cameras], np.float32)
     )
+
+
+_BY_NAME = np.argsort(small_rig("intuitive-6").channels)
 
 
 def test_both_lifts_put_what_a_camera_sees_where_it_stands() -> None:
