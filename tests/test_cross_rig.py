@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from benchmarks.cross_rig import paper, scoring
-from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, full, quick
+from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, full, quick
 from benchmarks.cross_rig.drives import small_rig
-from benchmarks.cross_rig.frames import Rig, read_frames
+from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames
 from benchmarks.cross_rig.report import sections
 from benchmarks.cross_rig.retention import Key, read_results, retention, spread
 from benchmarks.cross_rig.targets import CELL_M, HALF_M, decode, encode, turned
@@ -140,6 +141,7 @@ def test_the_truth_found_in_a_converted_dataset_scores_everything(
     calibration, frames = read_frames(virtual)
     np.testing.assert_allclose(calibration.intrinsics, _calibration("intuitive-6").intrinsics[_BY_NAME], atol=1e-4)
     assert frames[0].pictures.shape == (6, 3, SEEN[1], SEEN[0])
+    assert _share_on_the_ground(calibration, frames[0].depth) > 0.6
     monkeypatch.setattr(scoring, "LEAST_BOXES", 3)
     truth = [(frame.classes, np.ones(len(frame.classes), np.float32), frame.boxes) for frame in frames]
     score = scoring.score(virtual, frames, truth)
@@ -160,12 +162,25 @@ def _calibration(name: str) -> Rig:
     )
 
 
+def _share_on_the_ground(rig: Rig, depth: npt.NDArray[np.uint8]) -> float:
+    """Of features below the horizon: how many say the ground's depth. None is deeper than the ground."""
+    row = 8
+    edges_px = np.array([row * STRIDE - 0.5, (row + 1) * STRIDE - 0.5])
+    farthest_m, nearest_m = (
+        rig.ego_from_cam[0, 2, 3] * rig.intrinsics[0, 1, 1] / (edges_px - rig.intrinsics[0, 1, 2])
+    )
+    known = DEPTHS_M[depth[:, row][depth[:, row] != NO_DEPTH]]
+    assert len(known) > 50
+    assert known.max() < farthest_m + 1
+    return float((known > nearest_m - 1).mean())
+
+
 _BY_NAME = np.argsort(small_rig("intuitive-6").channels)
 
 
 def test_both_lifts_put_what_a_camera_sees_where_it_stands() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'unidrive[proof]'")
-    from benchmarks.cross_rig.detector import DEPTHS_M, STRIDE, WIDTH, Bilinear, LiftSplat
+    from benchmarks.cross_rig.detector import WIDTH, Bilinear, LiftSplat
 
     rig = _calibration("6x70")
     place = np.array([12.0, 3.5, 0.7, 1.0])  # metres in the ego frame, ahead and a little to the left
@@ -176,14 +191,14 @@ def test_both_lifts_put_what_a_camera_sees_where_it_stands() -> None:
     features = torch.zeros(1, 6, len(DEPTHS_M) + WIDTH, SEEN[1] // STRIDE, SEEN[0] // STRIDE)
     features[0, 0, len(DEPTHS_M), v, u] = 1.0
     features[0, 0, np.abs(DEPTHS_M - cam[2]).argmin(), v, u] = 50.0
-    still, plain = torch.eye(2)[None], torch.zeros(1, dtype=torch.bool)
-    splat = LiftSplat().lift(features, rig, plain, still)[0, 0].numpy()
+    still = torch.eye(2)[None]
+    splat = LiftSplat().lift(features, rig, still)[0, 0].numpy()
     assert np.abs(np.array(np.unravel_index(splat.argmax(), splat.shape)) - cell).max() <= 1
     content = torch.zeros(1, 6, WIDTH, *features.shape[3:])
     content[0, 0, 0, v, u] = 1.0
     mirror = torch.diag(torch.tensor([1.0, -1.0]))[None]
     for turn, side in ((still, 1), (mirror, -1)):
-        lifted = Bilinear().lift(content, rig, plain, turn)[0].unflatten(0, (WIDTH, 4))[0, 1].numpy()
+        lifted = Bilinear().lift(content, rig, turn)[0].unflatten(0, (WIDTH, 4))[0, 1].numpy()
         where = np.argwhere(lifted > 0.5 * lifted.max()) * CELL_M - HALF_M + CELL_M / 2
         ahead = np.array([12.0, side * 3.5]) - [1.8, 0]
         bearings = np.arctan2(where[:, 1], where[:, 0] - 1.8)

@@ -16,6 +16,8 @@ PICTURE = (320, 180)
 """Pixels of rendered and virtual pictures, twice the detector's."""
 SEEN = (160, 96)
 """Pixels of what the detector sees."""
+STRIDE = 8
+"""Pixels of SEEN that one feature stands for, both ways."""
 CLASSES = ("car", "truck", "bus", "pedestrian", "motorcycle", "bicycle")
 """The paper's six, under nuScenes' detection names."""
 RANGE_M = 25

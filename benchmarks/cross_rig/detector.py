@@ -12,13 +12,11 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from benchmarks.cross_rig.config import CLASSES, SEEN
-from benchmarks.cross_rig.frames import Rig
+from benchmarks.cross_rig.config import CLASSES, SEEN, STRIDE
+from benchmarks.cross_rig.frames import DEPTHS_M, Rig
 from benchmarks.cross_rig.targets import CELL_M, CELLS, HALF_M, NUMBERS
 
-STRIDE = 8
 WIDTH = 16
-DEPTHS_M = np.arange(2.0, 34.0, 1.0, dtype=np.float32)
 LEVELS_M = np.array([0.0, 0.7, 1.4, 2.5], dtype=np.float32)
 """Heights at which the bilinear lift looks."""
 _LOW_M, _HIGH_M = -1.0, 4.0
@@ -68,7 +66,9 @@ class _Grid(nn.Module):
 
 
 class Detector(nn.Module):
-    """Pictures to heat maps; `see` is told the rig before pictures of it come."""
+    """Pictures to heat maps."""
+
+    learns_depth = False
 
     def __init__(self, picture_channels: int, grid_channels: int) -> None:
         super().__init__()
@@ -81,13 +81,14 @@ class Detector(nn.Module):
         )
         self.grid = _Grid(grid_channels)
 
-    def lift(self, features: torch.Tensor, rig: Rig, mirrored: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    def lift(self, features: torch.Tensor, rig: Rig, turns: torch.Tensor) -> torch.Tensor:
         raise NotImplementedError
 
     def forward(
         self, pictures: torch.Tensor, rig: Rig, mirrored: torch.Tensor, turns: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Heat (B, K, CELLS, CELLS; before the sigmoid) and numbers (B, NUMBERS, CELLS, CELLS).
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Heat (B, K, CELLS, CELLS; before the sigmoid), numbers (B, NUMBERS, CELLS, CELLS), and the pictures'
+        features (B, C, F, h, w), the first of which are depth (before the softmax) where depth is learned.
 
         Args:
             pictures: (B, C, 3, H, W) uint8.
@@ -100,16 +101,19 @@ class Detector(nn.Module):
         seen = torch.where(flips[:, None, None, None], seen.flip(-1), seen)
         features = self.picture(seen)
         features = torch.where(flips[:, None, None, None], features.flip(-1), features)
-        return self.grid(self.lift(features.unflatten(0, (batch, cameras)), rig, mirrored, turns))
+        features = features.unflatten(0, (batch, cameras))
+        return *self.grid(self.lift(features, rig, turns)), features
 
 
 class LiftSplat(Detector):
-    """Learned depth."""
+    """Learned depth, one of DEPTHS_M for each feature."""
+
+    learns_depth = True
 
     def __init__(self) -> None:
         super().__init__(len(DEPTHS_M) + WIDTH, WIDTH)
 
-    def lift(self, features: torch.Tensor, rig: Rig, mirrored: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    def lift(self, features: torch.Tensor, rig: Rig, turns: torch.Tensor) -> torch.Tensor:
         batch = len(features)
         depth, content = features.split([len(DEPTHS_M), WIDTH], dim=2)
         spread = depth.softmax(2)[:, :, None] * content[:, :, :, None]  # (B, C, WIDTH, D, h, w)
@@ -129,7 +133,7 @@ class Bilinear(Detector):
     def __init__(self) -> None:
         super().__init__(WIDTH, WIDTH * len(LEVELS_M))
 
-    def lift(self, features: torch.Tensor, rig: Rig, mirrored: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    def lift(self, features: torch.Tensor, rig: Rig, turns: torch.Tensor) -> torch.Tensor:
         batch, cameras = features.shape[:2]
         axis = (torch.arange(CELLS) + 0.5) * CELL_M - HALF_M
         level = torch.from_numpy(LEVELS_M)

@@ -14,9 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from pyquaternion import Quaternion
 
-from benchmarks.cross_rig.config import CLASSES, SEEN
+from benchmarks.cross_rig.config import CLASSES, SEEN, STRIDE
 
 Float32 = npt.NDArray[np.float32]
+DEPTHS_M = np.arange(2.0, 34.0, 1.0, dtype=np.float32)
+"""Depths that a detector may say, metres along the optical axis."""
+NO_DEPTH = 255
 VERSION = "v1.0-trainval"
 TABLES = (
     *("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose"),
@@ -53,6 +56,7 @@ class Frame:
     Attributes:
         token: of the sample.
         pictures: (C, 3, H, W) uint8, RGB.
+        depth: (C, H / STRIDE, W / STRIDE) uint8, the index in DEPTHS_M of the nearest lidar point, or NO_DEPTH.
         global_from_ego: (4, 4) float64.
         classes: (n,) index in CLASSES.
         boxes: (n, 7) x, y, z, width, length, height in metres, yaw in radians, in the ego frame.
@@ -60,6 +64,7 @@ class Frame:
 
     token: str
     pictures: npt.NDArray[np.uint8]
+    depth: npt.NDArray[np.uint8]
     global_from_ego: npt.NDArray[np.float64]
     classes: npt.NDArray[np.int64]
     boxes: Float32
@@ -77,9 +82,9 @@ def read_frames(root: Path) -> tuple[Rig, list[Frame]]:
     by_token = {name: {row["token"]: row for row in rows} for name, rows in tables.items()}
     pictures: dict[str, dict[str, dict[str, Any]]] = defaultdict(dict)
     for row in tables["sample_data"]:
-        sensor = by_token["sensor"][by_token["calibrated_sensor"][row["calibrated_sensor_token"]]["sensor_token"]]
-        if row["is_key_frame"] and sensor["modality"] == "camera":
-            pictures[row["sample_token"]][sensor["channel"]] = row
+        if (channel := _of(row, by_token)).startswith("CAM"):
+            pictures[row["sample_token"]][channel] = row
+    clouds = {row["sample_token"]: row for row in tables["sample_data"] if _of(row, by_token) == "LIDAR_TOP"}
     annotations: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in tables["sample_annotation"]:
         annotations[row["sample_token"]].append(row)
@@ -94,7 +99,11 @@ def read_frames(root: Path) -> tuple[Rig, list[Frame]]:
         global_from_ego = places[0]
         found = _boxes(annotations[sample["token"]], by_token, global_from_ego)
         seen = np.stack([_picture(root / row["filename"]) for row in rows])
-        frames.append(Frame(sample["token"], seen, global_from_ego, *found))
+        cloud = clouds[sample["token"]]
+        points = np.fromfile(root / cloud["filename"], np.float32).reshape(-1, 5)[:, :3]
+        lidar = _pose(by_token["calibrated_sensor"][cloud["calibrated_sensor_token"]])
+        depth = _depth(points @ lidar[:3, :3].T + lidar[:3, 3], rigs[-1])
+        frames.append(Frame(sample["token"], seen, depth, global_from_ego, *found))
     for rig in rigs:
         if not np.allclose(rig.ego_from_cam, rigs[0].ego_from_cam, atol=1e-6):
             raise ValueError(f"{root}: the calibration changes.")
@@ -126,6 +135,27 @@ def _picture(path: Path) -> npt.NDArray[np.uint8]:
         raise ValueError(f"{path} is no picture.")
     small = cv2.resize(picture, SEEN, interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(small[..., ::-1].transpose(2, 0, 1)).astype(np.uint8)
+
+
+def _of(row: dict[str, Any], by_token: dict[str, dict[str, Any]]) -> str:
+    """The channel of a key frame; empty for what is none."""
+    sensor = by_token["calibrated_sensor"][row["calibrated_sensor_token"]]["sensor_token"]
+    return str(by_token["sensor"][sensor]["channel"]) if row["is_key_frame"] else ""
+
+
+def _depth(points: npt.NDArray[Any], rig: Rig) -> npt.NDArray[np.uint8]:
+    """What the pictures' features should say about lidar points (n, 3) in the ego frame."""
+    shape = (SEEN[1] // STRIDE, SEEN[0] // STRIDE)
+    nearest = np.full((len(rig.intrinsics), *shape), NO_DEPTH, np.uint8)
+    for level, intrinsic, ego_from_cam in zip(nearest, rig.intrinsics, rig.ego_from_cam, strict=True):
+        cam = (points - ego_from_cam[:3, 3]) @ ego_from_cam[:3, :3]
+        cam = cam[(cam[:, 2] > DEPTHS_M[0] - 0.5) & (cam[:, 2] < DEPTHS_M[-1] + 0.5)]
+        pixel = (cam @ intrinsic.T)[:, :2] / cam[:, 2:]
+        cell = np.floor((pixel + 0.5) / STRIDE).astype(np.int64)
+        inside = ((cell >= 0) & (cell < [shape[1], shape[0]])).all(axis=1)
+        said = np.abs(cam[inside, 2:] - DEPTHS_M).argmin(axis=1).astype(np.uint8)
+        np.minimum.at(level, (cell[inside, 1], cell[inside, 0]), said)
+    return nearest
 
 
 def _boxes(

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from benchmarks.cross_rig.config import CLASSES
 from benchmarks.cross_rig.detector import DETECTORS, Detector
-from benchmarks.cross_rig.frames import Frame, Rig
+from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Frame, Rig
 from benchmarks.cross_rig.targets import Float32, Found, Targets, decode, encode, turned
 
 _TURN_RAD = np.deg2rad(22.5)
@@ -29,7 +29,8 @@ class Seen:
 def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: float, seed: int) -> Detector:
     """A detector after so many batches; each batch is of one rig, rigs in turn.
 
-    Augmented by flipped pictures and by a turned or mirrored grid, calibration following; in all settings alike.
+    Depth, where it is learned, is also told by the lidar (as BEVDepth does). Augmented by flipped pictures and by
+    a turned or mirrored grid, calibration following. All this in all settings alike.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -48,8 +49,12 @@ def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: fl
             encode(frame.classes, turned(frame.boxes, by), len(CLASSES))
             for frame, by in zip(chosen, turns, strict=True)
         ]
-        heat, numbers = detector(pictures, data[turn].rig, mirrored, torch.from_numpy(turns))
+        heat, numbers, features = detector(pictures, data[turn].rig, mirrored, torch.from_numpy(turns))
         loss = _loss(heat, numbers, targets)
+        if detector.learns_depth:
+            said = features[:, :, : len(DEPTHS_M)].permute(0, 1, 3, 4, 2).flatten(0, 3)
+            measured = torch.from_numpy(np.stack([frame.depth for frame in chosen])).long().flatten()
+            loss = loss + functional.cross_entropy(said, measured, ignore_index=NO_DEPTH)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 5.0)
@@ -66,7 +71,7 @@ def find(detector: Detector, seen: Seen) -> list[Found]:
     with torch.inference_mode():
         for frame in seen.frames:
             pictures = torch.from_numpy(frame.pictures)[None]
-            heat, numbers = detector(pictures, seen.rig, torch.zeros(1, dtype=torch.bool), still)
+            heat, numbers, _ = detector(pictures, seen.rig, torch.zeros(1, dtype=torch.bool), still)
             found.append(decode(heat[0].sigmoid().numpy(), numbers[0].numpy()))
     return found
 
