@@ -145,7 +145,7 @@ def full(all_eight: bool = False) -> Config:
         *(_main(0, others) if all_eight else ()),
     )
     train = (Drive("train0", 100, 10, 6), Drive("train1", 101, 50, 6))
-    return Config("full", train, Drive("test", 200, 20, 5), trainings, iterations=900)
+    return Config("full", train, Drive("test", 200, 20, 5), trainings, iterations=1200)
 
 
 def quick() -> Config:
