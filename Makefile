@@ -5,10 +5,15 @@ DEMO ?= demo-out
 WORKERS ?= 2
 N ?= 2000
 CROSS ?= cross-rig
+# Readers of datasets; the second line is what they need of what they name, which is often an older numpy or OpenCV.
+READERS := mmdet3d==1.4.0 mmdet==3.3.0 mmcv-lite==2.1.0 mmengine==0.10.7 vis4d==1.0.0
+READERS_NEED := torch==2.13.0 addict yapf termcolor rich pyyaml terminaltables pycocotools scipy six trimesh plyfile \
+	ml_collections tabulate utm h5py
+READERS_BIN := $(VENV)-consumers/bin
 PAPER_RIGS := 4x95 5x75 5x70+110 6x60 6x70 6x80a 6x80b 8x50
 
 .DEFAULT_GOAL := help
-.PHONY: help install test check convert demo bench chaos optimise fuzz cross-rig cross-rig-quick clean
+.PHONY: help install test check convert demo bench chaos optimise consumers fuzz cross-rig cross-rig-quick clean
 
 help:                 ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -54,6 +59,20 @@ optimise: install     ## find rigs/unidrive-optimised-6.yaml anew
 	$(BIN)/unidrive optimize-rig $(PAPER_RIGS) --boxes $(DEMO)/boxes \
 		--search rigs/searches/unidrive-optimised-6.yaml --out rigs/unidrive-optimised-6.yaml --force
 
+$(VENV)-consumers/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-consumers
+	$(READERS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(READERS_BIN)/python -m pip install --quiet --disable-pip-version-check 'numpy<2' $(READERS_NEED) && \
+		$(READERS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps $(READERS) || \
+		echo 'Not all readers can be installed here; those that are missing will be skipped.'
+	touch $@
+
+consumers: $(VENV)-consumers/.installed   ## let nuscenes-devkit, mmdetection3d and vis4d read a converted drive
+	rm -rf $(DEMO)/consumers
+	$(READERS_BIN)/unidrive synth $(DEMO)/consumers/source --rig 6x80a --scenes 2 --keyframes 2 --val-share 0.5
+	$(READERS_BIN)/unidrive convert $(DEMO)/consumers/source $(DEMO)/consumers/converted --rig roof-6x70
+	$(READERS_BIN)/python -m benchmarks.consumers $(DEMO)/consumers/converted
+
 fuzz: install         ## break datasets, rigs and pictures: make fuzz N=20000
 	$(BIN)/python -m tests.fuzzing $(N)
 
@@ -70,4 +89,4 @@ cross-rig: $(VENV)/.proof   ## the tables of docs/results.md (4 hours; the same 
 	$(BIN)/python -m benchmarks.cross_rig.report $(CROSS)-full --figure $(CROSS)-full/figure.png
 
 clean:                ## remove what make made
-	rm -rf $(VENV) $(DEMO) $(CROSS)-quick $(CROSS)-full .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-consumers $(DEMO) $(CROSS)-quick .pytest_cache .mypy_cache .ruff_cache
