@@ -45,6 +45,8 @@ DECLARED = {  # the only things alive at module level, each on purpose
     ("warp/lens_numbers.py", "lens_numbers"),  # memo of a pure function
     ("warp/lens_numbers.py", "numbers_of_all"),  # memo of a pure function
     ("geometry/lenses/distorted.py", "known_lens"),  # memo of a pure function: a lens's border takes a while
+    ("warp/planar.py", "_hidden"),  # memo of a pure function
+    ("warp/own_car.py", "hidden_of"),  # memo of a pure function
     ("warp/compiled.py", "has_numba"),  # what is installed does not change while a process runs
     ("warp/turbojpeg.py", "_library"),  # a library is loaded once per process
     ("convert/units.py", "renderer_of"),  # memo of a pure function: one renderer per worker process

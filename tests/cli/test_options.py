@@ -63,6 +63,7 @@ def test_every_option_has_its_variable(bench: Bench) -> None:
         "UNIDRIVE_BLEND": "nearest",
         "UNIDRIVE_EGO_MOTION": "false",
         "UNIDRIVE_ANTI_ALIAS": "false",
+        "UNIDRIVE_EXPOSURE": "gain",
         "UNIDRIVE_SCENE": " ".join(reversed(SCENES)),
         "UNIDRIVE_SPLIT": "mini_val mini_train",
         "UNIDRIVE_MAX_SAMPLES": "3",
@@ -84,6 +85,7 @@ def test_every_option_has_its_variable(bench: Bench) -> None:
         "blend": "nearest",
         "ego_motion": False,
         "anti_alias": False,
+        "exposure": "gain",
         "quality": 95,
         "scenes": list(SCENES),
         "splits": ["mini_train", "mini_val"],
@@ -482,7 +484,14 @@ def test_all_cameras_by_name_are_all_of_them(bench: Bench, default: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "options", [("--blend", "nearest"), ("--no-ego-motion",), ("--depth-limit", 5), ("--ground-height", -0.3)]
+    "options",
+    [
+        ("--blend", "nearest"),
+        ("--no-ego-motion",),
+        ("--depth-limit", 5),
+        ("--ground-height", -0.3),
+        ("--exposure", "gain"),
+    ],
 )
 def test_options_of_the_warp_change_the_pictures(bench: Bench, default: Path, options: tuple[object, ...]) -> None:
     bench.converted(*options)

@@ -37,12 +37,14 @@ AHEAD = [1.4, 0.0, 1.6]
 
 
 @numba.njit
-def placed(xs, xs32, ys, scene, models, lenses, runs, seen, floats, places, out):  # type: ignore[no-untyped-def]
+def placed(xs, xs32, ys, scene, models, layout, lenses, hidden, runs, seen, floats, places, out):  # type: ignore[no-untyped-def]
     """(H, W, 2) pixels of one source as the kernel places them; NaN where it says that it does not see them."""
     out[:] = np.nan
     sources = np.zeros(1, np.int64)
     for row in range(ys.size):
-        count = fused._runs(xs, xs32, ys[row], scene, models, lenses, sources, 1, runs, seen, floats, places)
+        count = fused._runs(
+            xs, xs32, ys[row], scene, models, layout, lenses, hidden, sources, 1, runs, seen, floats, places
+        )
         for k in range(count):
             for i in range(runs[k, 0], runs[k, 1]):
                 out[row, i, 0], out[row, i, 1] = places[0, i], places[1, i]
@@ -54,8 +56,9 @@ def placed_by_kernel(view: VirtualView, source: Source) -> Float:
     out = np.empty((len(ys), len(xs), 2))
     runs, _, _, _, seen, _, _, floats, places = fused.scratch(len(xs), 1)
     xs32 = np.append(xs, np.zeros(fused.LANES)).astype(np.float32)
-    models = source_models(view, [source], (1.0,))
-    placed(xs, xs32, ys, canvas.scene, models, lenses, runs, seen, floats, places, out)
+    models = source_models(view, [source], (1.0,), np.zeros((1, 5), np.int64))
+    layout, hidden = np.zeros((1, fused.LAYOUT_COLUMNS), np.int64), np.zeros(1, np.uint8)
+    placed(xs, xs32, ys, canvas.scene, models, layout, lenses, hidden, runs, seen, floats, places, out)
     return out
 
 

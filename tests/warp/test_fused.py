@@ -130,7 +130,7 @@ def test_every_pixel_looks_where_the_geometry_says(real: str, virtual: str) -> N
         np.testing.assert_array_equal(canvas.mask, coverage(view, patches))
         assert not (canvas.planes[0] > 0).any()
         reductions = [(1.0, 1.25, 2.0)[index % 3] for index in range(len(sources))]
-        models = source_models(view, sources, reductions)
+        models = source_models(view, sources, reductions, np.zeros((len(sources), 5), np.int64))
         copies = tuple((index, n) for index, n in enumerate(reductions) if n > 1)
         atlas = Atlas(tuple((s.lens.width_px, s.lens.height_px) for s in sources), copies)
         layout = atlas.layout_of(reductions)

@@ -22,6 +22,7 @@ from unidrive_cli.cli.shared import (
     DEBUG,
     DEPTH_LIMIT,
     EGO_MOTION,
+    EXPOSURE,
     GROUND_HEIGHT,
     JOBS,
     JSON,
@@ -30,6 +31,7 @@ from unidrive_cli.cli.shared import (
     MAX_SAMPLES,
     RIG_HELP,
     SCENES,
+    SOURCE_MASK,
     SPLITS,
     VERSION,
     guarded,
@@ -52,7 +54,7 @@ from unidrive_cli.convert.options import (
     VisibilityRule,
 )
 from unidrive_cli.errors import UsageError
-from unidrive_cli.warp.choices import Blend, Codec, Kernel
+from unidrive_cli.warp.choices import Blend, Codec, ExposureChoice, Kernel
 
 if TYPE_CHECKING:
     from unidrive_cli.convert.finalise import Failure, Summary
@@ -118,6 +120,8 @@ def convert_command(
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
     anti_alias: bool = ANTI_ALIAS,
+    exposure: ExposureChoice = EXPOSURE,
+    source_mask: Path | None = SOURCE_MASK,
     common_with: list[str] = COMMON_WITH,
     common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
@@ -172,7 +176,7 @@ def convert_command(
         dst,
         rig,
         (version, layout, lenses),
-        (depth_limit, ground_height, blend, ego_motion, anti_alias),
+        (depth_limit, ground_height, blend, ego_motion, anti_alias, exposure),
         (common_with, common_sweep),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
@@ -180,6 +184,7 @@ def convert_command(
         max_samples=max_samples,
         cameras=tuple(sorted(set(camera))),
         sweeps=sweeps,
+        source_mask="" if source_mask is None else str(source_mask),
         masks=masks,
         visibility=visibility,
         unseen_boxes=unseen_boxes,
@@ -222,7 +227,7 @@ def planned(
     dst: Path,
     rig: str,
     source: tuple[str | None, str | None, Path | None],
-    warp: tuple[float | None, float | None, Blend, bool, bool],
+    warp: tuple[float | None, float | None, Blend, bool, bool, ExposureChoice],
     common_with: tuple[list[str], float | None],
     **chosen: Any,
 ) -> Plan:
@@ -230,7 +235,7 @@ def planned(
 
     Args:
         source: version, layout and file of lenses of SRC, as given.
-        warp: depth limit, ground height, blend, ego motion, anti-aliasing, as given.
+        warp: depth limit, ground height, blend, ego motion, anti-aliasing, exposure, as given.
         common_with: rigs that must fill what is shown, and the sweep, as given.
         chosen: the other `Options`.
     """

@@ -34,6 +34,7 @@ from unidrive_cli.cli.shared import (
     DEBUG,
     DEPTH_LIMIT,
     EGO_MOTION,
+    EXPOSURE,
     GROUND_HEIGHT,
     JSON,
     LAYOUT,
@@ -41,13 +42,14 @@ from unidrive_cli.cli.shared import (
     MAX_SAMPLES,
     RIG_HELP,
     SCENES,
+    SOURCE_MASK,
     SPLITS,
     VERSION,
     guarded,
     option,
 )
 from unidrive_cli.convert.options import Link, LowCoverage, Masks, OnError, UnseenBoxes, VerifyLevel, VisibilityRule
-from unidrive_cli.warp.choices import Blend, Codec, Kernel
+from unidrive_cli.warp.choices import Blend, Codec, ExposureChoice, Kernel
 
 
 @guarded
@@ -67,6 +69,8 @@ def finalise_command(
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
     anti_alias: bool = ANTI_ALIAS,
+    exposure: ExposureChoice = EXPOSURE,
+    source_mask: Path | None = SOURCE_MASK,
     common_with: list[str] = COMMON_WITH,
     common_sweep: float | None = COMMON_SWEEP,
     quality: int = QUALITY,
@@ -99,7 +103,7 @@ def finalise_command(
         dst,
         rig,
         (version, layout, lenses),
-        (depth_limit, ground_height, blend, ego_motion, anti_alias),
+        (depth_limit, ground_height, blend, ego_motion, anti_alias, exposure),
         (common_with, common_sweep),
         quality=quality,
         scenes=tuple(sorted(set(scene))),
@@ -107,6 +111,7 @@ def finalise_command(
         max_samples=max_samples,
         cameras=tuple(sorted(set(camera))),
         sweeps=sweeps,
+        source_mask="" if source_mask is None else str(source_mask),
         masks=masks,
         visibility=visibility,
         unseen_boxes=unseen_boxes,

@@ -19,6 +19,7 @@ from unidrive_cli.cli.shared import (
     DEBUG,
     DEPTH_LIMIT,
     EGO_MOTION,
+    EXPOSURE,
     GROUND_HEIGHT,
     JOBS,
     JSON,
@@ -36,14 +37,14 @@ from unidrive_cli.cli.shared import (
     warp_choices,
 )
 from unidrive_cli.errors import OutputError, UnidriveError, UsageError
-from unidrive_cli.warp.choices import Blend
+from unidrive_cli.warp.choices import Blend, ExposureChoice
 
 if TYPE_CHECKING:
     from unidrive_cli.measure.fidelity import Tally
     from unidrive_cli.measure.projection import Errors, ProjectionReport, Spread
     from unidrive_cli.measure.truth import Fidelity, TruthReport
 
-_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion", "anti_alias", "camera", "png")
+_ONLY_WITH_RIG = ("depth_limit", "ground_height", "blend", "ego_motion", "anti_alias", "exposure", "camera", "png")
 _NAME_WIDTH = 34
 
 
@@ -73,6 +74,7 @@ def measure_command(
     blend: Blend = BLEND,
     ego_motion: bool = EGO_MOTION,
     anti_alias: bool = ANTI_ALIAS,
+    exposure: ExposureChoice = EXPOSURE,
     png: Path | None = option(
         None, "--png", help="Draw the projection error there: from above, and by distance.", show_default=False
     ),
@@ -106,7 +108,7 @@ def measure_command(
             raise UsageError("--lenses are SRC's: without --rig they go with --source.")
     elif source is not None:
         raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
-    elif truth is None and (given := _on_the_command_line(context) & {"blend", "anti_alias"}):
+    elif truth is None and (given := _on_the_command_line(context) & {"blend", "anti_alias", "exposure"}):
         name = min(given).replace("_", "-")
         raise UsageError(f"--{name} goes with --truth; the projection error is that of the angular blend.")
     if lenses is not None and len(datasets) > 1:
@@ -129,7 +131,7 @@ def measure_command(
     if rig is not None:
         fleet, notes = resolve_fleet(rig, size_of_file)
         virtual_rig = fleet.virtual
-        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion, anti_alias)
+        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion, anti_alias, exposure)
         alone = len(datasets) == 1
         open_one = open_dataset if alone else open_named
         opened = [open_one(one, version, layout=layout, lenses=of_source) for one in datasets]

@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import typer
 
 from unidrive_cli.errors import UnidriveError, UsageError, did_you_mean
-from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIGHT_M, Blend, WarpChoices
+from unidrive_cli.warp.choices import (
+    DEFAULT_DEPTH_LIMIT_M,
+    DEFAULT_GROUND_HEIGHT_M,
+    Blend,
+    ExposureChoice,
+    WarpChoices,
+)
 
 if TYPE_CHECKING:
     from unidrive_cli.rig.model import Rig
@@ -166,6 +172,13 @@ ANTI_ALIAS = option(
     "--anti-alias/--no-anti-alias",
     help="Sample sources that are shrunk by more than 1.95 from reduced copies.",
 )
+EXPOSURE = option("none", "--exposure", help="Even out the brightness of neighbouring source pictures by gains.")
+SOURCE_MASK = option(
+    None,
+    "--source-mask",
+    help="Folder with a <CHANNEL>.png per source camera: pixels that are not 0 show the own car and are not used.",
+    show_default=False,
+)
 JOBS = option(
     None, "--jobs", "-j", help="Samples worked on at once; 0 works in this process alone (default: one per core)."
 )
@@ -178,6 +191,7 @@ def warp_choices(
     blend: Blend,
     ego_motion: bool,
     anti_alias: bool = True,
+    exposure: ExposureChoice = "none",
 ) -> WarpChoices:
     """The options of the warp; where one is not given the rig's own value counts, then the default."""
 
@@ -190,6 +204,7 @@ def warp_choices(
         blend,
         ego_motion,
         anti_alias,
+        exposure,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from unidrive_cli import __version__
 from unidrive_cli.convert.links import carried_files, carry
 from unidrive_cli.convert.output_tables import Counts, OutputTables
+from unidrive_cli.convert.own_cars import own_car_of
 from unidrive_cli.convert.plan import Plan, scene_names
 from unidrive_cli.convert.sweeps import SWEEP
 from unidrive_cli.convert.training_notes import training_notes
@@ -33,6 +34,7 @@ from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
 from unidrive_cli.tables.table import RawRows, write_rows
 from unidrive_cli.warp.common import blanks_of
 from unidrive_cli.warp.pictures import encode_mask, size_of_file
+from unidrive_cli.warp.reduction import Reductions
 from unidrive_cli.warp.remap import Source, build_patches, coverage, virtual_views
 
 LOW_COVERAGE = 0.01
@@ -242,10 +244,18 @@ def _camera_masks(plan: Plan, destination: Destination) -> None:
     options = plan.options
     rig, _ = rig_of_dataset(plan.dataset, scene_names(plan.units), size_of_file)
     chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
-    sources = [Source(camera.lens, inverse(camera.ego_from_cam)) for camera in chosen]
+    sources = [
+        Source(
+            camera.lens,
+            inverse(camera.ego_from_cam),
+            own_car=own_car_of(plan.own_cars, camera.channel, (camera.lens.width_px, camera.lens.height_px)),
+        )
+        for camera in chosen
+    ]
     views = virtual_views(plan.rig, options.depth_limit_m, options.ground_height_m)
-    for view, blanks in zip(views, blanks_of(plan.common_masks, len(views)), strict=True):
-        mask = coverage(view, build_patches(view, sources, options.blend))
+    reductions = Reductions(views, anti_alias=options.anti_alias).of(sources)
+    for view, blanks, of_view in zip(views, blanks_of(plan.common_masks, len(views)), reductions, strict=True):
+        mask = coverage(view, build_patches(view, sources, options.blend, of_view))
         if blanks:
             blanks.cover(mask)
         destination.write(camera_mask_name(view.camera.channel), encode_mask(mask))

@@ -45,6 +45,8 @@ class Options(WarpChoices):
             the splits.
         max_samples: only so many samples, the first by scene and time; all where None.
         sweeps: whether the pictures between the key frames are rendered too.
+        source_mask: folder with pictures of where the source cameras show the own car; none where empty. What they
+            hold belongs to the plan.
         masks: one coverage mask per picture, one per virtual camera, or none.
         visibility: `lower` it where the virtual rig shows less of a box, or `keep`.
         unseen_boxes: `keep` boxes that no virtual pixel shows, with the lowest visibility, or `drop`.
@@ -69,6 +71,7 @@ class Options(WarpChoices):
     max_samples: int | None = None
     cameras: tuple[str, ...] = ()
     sweeps: bool = False
+    source_mask: str = ""
     masks: Masks = "frame"
     visibility: VisibilityRule = "lower"
     unseen_boxes: UnseenBoxes = "keep"
@@ -111,6 +114,16 @@ class Options(WarpChoices):
 
     def identity(self) -> dict[str, Any]:
         """The options that the output depends on, for the plan's digest and the provenance file."""
-        apart = ("jobs", "verify", "on_error", "backend", "scheduler", "kernel", "codec", "space_check")
+        apart = (
+            "jobs",
+            "verify",
+            "on_error",
+            "backend",
+            "scheduler",
+            "kernel",
+            "codec",
+            "space_check",
+            "source_mask",
+        )
         chosen = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}

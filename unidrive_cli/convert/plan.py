@@ -6,10 +6,11 @@ import itertools
 import re
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from unidrive_cli.convert.coverage import covered_rig
 from unidrive_cli.convert.links import check_carried_folders
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.output_names import OutputNames
+from unidrive_cli.convert.own_cars import own_car_of, own_cars_identity, read_own_cars
 from unidrive_cli.convert.sweeps import CHANNEL, SWEEP, KeyFrames, Sweep, group_sweeps
 from unidrive_cli.convert.units import SKIP_HINT, Frame
 from unidrive_cli.errors import DatasetError, PictureError, RigError, UsageError
@@ -39,6 +41,7 @@ from unidrive_cli.tables.schema import Sample, SampleData, Scene, Timestamp
 from unidrive_cli.tables.splits import scenes_of
 from unidrive_cli.tables.table import Indices
 from unidrive_cli.warp.common import CommonMasks, common_masks
+from unidrive_cli.warp.own_car import OwnCar
 from unidrive_cli.warp.pictures import check_size, jpeg_bytes, read_head, size_of_file
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
@@ -106,6 +109,7 @@ class Plan:
         common: the rigs that must fill what is shown; None where none are named.
         notes: what a user should know, one sentence each.
         sweeps: by scene and time; empty without the option.
+        own_cars: where the source cameras show the own car, by channel.
     """
 
     dataset: Dataset
@@ -117,6 +121,7 @@ class Plan:
     names: OutputNames
     common: Common | None = None
     sweeps: Sequence[Sweep] = ()
+    own_cars: Mapping[str, OwnCar] = field(default_factory=dict)
 
     @cached_property
     def moments(self) -> list[Moment]:
@@ -149,7 +154,9 @@ class Plan:
                 **({"lenses": lenses} if lenses else {}),
             },
             "rig": {"name": self.rig.name, "digest": self.rig.digest},
-            "options": self.options.identity() | (self.common.identity() if self.common else {}),
+            "options": self.options.identity()
+            | (self.common.identity() if self.common else {})
+            | own_cars_identity(self.own_cars),
             **self.toolchain.identity,
         }
 
@@ -205,9 +212,10 @@ class Plan:
         """
         size = picture_size_of(self.dataset, row, size_of_file)
         motion = self.options.ego_motion
-        return Source(
-            *lens_and_cam_from_ego(self.dataset, row, size, global_from_ego, global_from_own_ego, ego_motion=motion)
+        camera = lens_and_cam_from_ego(
+            self.dataset, row, size, global_from_ego, global_from_own_ego, ego_motion=motion
         )
+        return Source(*camera, own_car_of(self.own_cars, self.dataset.sensor_of(row).channel, size))
 
     def _boxes(self, unit: Unit, global_from_ego: Float) -> tuple[Float, Float]:
         rows = self.dataset.annotations(unit.sample.token)
@@ -262,12 +270,13 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         raise DatasetError("holds no samples to convert.", where=str(dataset.folder))
     if not any(unit.sources for unit in units):
         raise DatasetError("holds no camera key frames to render from.", where=str(dataset.folder))
+    own_cars = read_own_cars(Path(options.source_mask), dataset) if options.source_mask else {}
     own_rig_notes: list[str] = []
     if common:
         common, own_rig_notes = with_own_rig(common, dataset, options, scene_names(units))
     if options.min_coverage and options.low_coverage == "drop-camera":
         whole = rig
-        rig, more = covered_rig(dataset, whole, [unit.sources for unit in units], options, common)
+        rig, more = covered_rig(dataset, whole, [unit.sources for unit in units], options, common, own_cars)
         notes.extend(more)
         units = [_through(unit, whole, rig) for unit in units]
     notes.extend(_source_notes(dataset, units, channels, surfaces))
@@ -278,7 +287,7 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         sweeps, more = _sweeps(dataset, rig, options, units, sorted(channels), taken)
         notes.extend(more)
     names = OutputNames(dataset, output_version(dataset, options), keep_layout=options.keep_layout)
-    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common, sweeps)
+    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common, sweeps, own_cars)
     _check_cameras(plan)
     if plan.common_masks:
         shares = zip(rig.channels, plan.common_masks.shares, strict=True)
@@ -533,6 +542,7 @@ def _check_cameras(plan: Plan) -> None:
         if stop or (row.width and row.height):
             size = picture_size_of(dataset, row, size_of_file)
             lens_and_pose(dataset, row, size)
+            own_car_of(plan.own_cars, dataset.sensor_of(row).channel, size)
             if stop:
                 path = dataset.path_of(row)
                 check_size(read_head(path, SKIP_HINT), size, str(path))

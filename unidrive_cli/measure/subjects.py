@@ -17,6 +17,7 @@ from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, refer
 from unidrive_cli.tables.rig_of_dataset import picture_size_of, rig_of_dataset
 from unidrive_cli.tables.schema import Sample, SampleData
 from unidrive_cli.warp.choices import WarpChoices
+from unidrive_cli.warp.exposure import Exposure, even_out
 from unidrive_cli.warp.opencv_kernel import ViewTables
 from unidrive_cli.warp.pictures import Picture, read_mask, read_picture, size_of_file
 from unidrive_cli.warp.reduction import Copies, Reductions
@@ -147,6 +148,7 @@ class RenderedPictures:
             raise DatasetError("holds no cameras to render from.", where=str(dataset.folder))
         self._choices = choices
         self._views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
+        self._exposure = Exposure(self._views) if choices.exposure == "gain" else None
         self._reductions = Reductions(self._views, anti_alias=choices.anti_alias)
         if is_converted(dataset.root):
             self.notes.append(f"{dataset.root} is a converted dataset; its virtual pictures are rendered once more.")
@@ -154,17 +156,18 @@ class RenderedPictures:
     def shown(self, sample: Sample) -> Iterator[Shown]:
         reference = reference_of(self.dataset, sample)
         paths, sources = _sources(self.dataset, sample, self._channels, ego_motion=self._choices.ego_motion)
-        pictures = Copies(
-            [
-                read_picture(path, (source.lens.width_px, source.lens.height_px))
-                for path, source in zip(paths, sources, strict=True)
-            ]
-        )
+        pictures = [
+            read_picture(path, (source.lens.width_px, source.lens.height_px))
+            for path, source in zip(paths, sources, strict=True)
+        ]
+        if self._exposure:
+            even_out(self._exposure, sources, pictures)
+        copies = Copies(pictures)
         for view, reductions in zip(self._views, self._reductions.of(sources), strict=True):
-            patches = build_patches(view, sources, self._choices.blend)
+            patches = build_patches(view, sources, self._choices.blend, reductions)
             tables = ViewTables(view, patches, reductions)
             seams = near_seams(dominant_sources(view, patches))
-            yield Shown(view.camera, reference, tables.render(pictures), tables.mask > 0, seams)
+            yield Shown(view.camera, reference, tables.render(copies), tables.mask > 0, seams)
 
 
 def _sources(

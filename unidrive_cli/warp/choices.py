@@ -13,6 +13,9 @@ DEFAULT_GROUND_HEIGHT_M = 0.0
 Blend = Literal["angular", "nearest"]
 """How overlapping sources are joined: mixed by weight, or the one with the largest weight."""
 
+ExposureChoice = Literal["none", "gain"]
+"""Whether sources are made equally bright where they show the same: not, or by a gain for each."""
+
 Kernel = Literal["auto", "numba", "opencv"]
 """What warps and blends: the fused kernel on YUV planes, or OpenCV; `auto` takes the first where numba is here."""
 Codec = Literal["auto", "libturbojpeg", "simplejpeg"]
@@ -30,6 +33,7 @@ class WarpChoices:
         ego_motion: whether each source's own ego pose is used; otherwise all are taken to stand at
             the reference's.
         anti_alias: whether sources that are shrunk by more than 1.95 are sampled from reduced copies.
+        exposure: `gain` evens out the brightness of neighbouring sources.
     """
 
     depth_limit_m: float = DEFAULT_DEPTH_LIMIT_M
@@ -37,6 +41,7 @@ class WarpChoices:
     blend: Blend = "angular"
     ego_motion: bool = True
     anti_alias: bool = True
+    exposure: ExposureChoice = "none"
 
     def __post_init__(self) -> None:
         if not 0 < self.depth_limit_m <= 1e6:

@@ -14,6 +14,7 @@ from unidrive_cli.errors import UsageError
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.warp.own_car import hidden_of
 from unidrive_cli.warp.remap import Mask, Source, VirtualView, candidate_box
 
 DEFAULT_SWEEP_M = 1.0
@@ -204,5 +205,8 @@ def _seen_from_all(view: VirtualView, ends: Sequence[Source], box: tuple[slice, 
     seen: Bool = np.ones((box[0].stop - box[0].start, box[1].stop - box[1].start), dtype=bool)
     for end in ends:
         points: Float = view.points(end.cam_from_ego, *box)
-        seen &= end.lens.project(points)[1]
+        pixels, valid = end.lens.project(points)
+        seen &= valid
+        if end.own_car:
+            seen &= ~hidden_of(end.own_car, 1.0).holds(np.where(valid[..., None], pixels, 0))
     return seen

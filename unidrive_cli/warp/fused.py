@@ -52,18 +52,21 @@ _NODE_STEP = 8
 _STEEP = 0.1
 """unless they change by more than this from one to the next: then at every fourth, second or single pixel."""
 
-LIMITS, LUMA, CHROMA, BORDERS, POINT, ASIDE = 0, 5, 8, 11, 15, 18
+LIMITS, LUMA, CHROMA, BORDERS, POINT, ASIDE, HIDDEN = 0, 5, 8, 11, 15, 18, 19
 """Rows of a source's model, all but the last forms with the columns x, y, 1, w.
 
 LIMITS: five that are >= 0 (the last: > 0) where the source sees the point. LUMA, CHROMA: U, V, Z of its pixel
 in those planes; of a source with distortion what its pixel is multiplied with for that, and what is added. BORDERS:
 four distances to the planes through its borders. POINT: the point in its frame. ASIDE: b in the virtual camera's
-frame; r x b gives the parallax.
+frame; r x b gives the parallax. HIDDEN: as LIMITS, of the box of
+what is hidden; of a source with distortion its first u and v, and its columns and rows.
 """
-MODEL_ROWS = 19
+MODEL_ROWS = 24
 PLANES, STRIDES, SIZES = 0, 3, 5
 """Columns of a source's layout: where Y, U, V start; strides of luma and chroma; their widths and heights."""
-LAYOUT_COLUMNS = 9
+HIDDEN_START, HIDDEN_WIDTH = 9, 10
+"""and where in their memory its hidden pixels are, and how many in a row; 0 where none are."""
+LAYOUT_COLUMNS = 11
 KIND, EXACT, FOCAL, CENTRE, LOW, HIGH = 0, 1, 2, 4, 6, 7
 """Columns of a source's lens: 0 for a pinhole, OPENCV or FISHEYE; whether float32 will not do, which knows no tilt
 either; fx, fy; cx, cy; the least u and v and the largest that are in the picture;"""
@@ -404,8 +407,18 @@ def _alike(seen, start, end):
     return least if least == most else _i4(1)
 
 
+@njit(**_TIGHT)
+def _is_hidden(u, v, models, layout, hidden, j):
+    """Whether a pixel of a source with distortion may not be sampled."""
+    across, down = u - models[j, HIDDEN, 0], v - models[j, HIDDEN, 1]
+    columns, rows = models[j, HIDDEN, 2], models[j, HIDDEN, 3]
+    if (across < 0) | (down < 0) | (across >= columns) | (down >= rows):
+        return False
+    return hidden[layout[j, HIDDEN_START] + int(down) * layout[j, HIDDEN_WIDTH] + int(across)] > 0
+
+
 @njit(**_INNER)
-def _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs, count):
+def _placed_runs(xs, start, end, y, scene, models, layout, lenses, hidden, j, places, seen, runs, count):
     """The runs of columns that a source with distortion sees, put after the first `count` runs; returns the sum.
 
     What is open is decided, and placed anew, in float64.
@@ -413,9 +426,10 @@ def _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs
     per_length, ground_x, square = scene[PER_LENGTH], scene[GROUND], y * y + 1
     ground = scene[GROUND + 1] * y + scene[GROUND + 2]
     exact, opened, column = lenses[j, EXACT] > 0, -1, start
+    hides = layout[j, HIDDEN_WIDTH] > 0
     while column < end:
         stop = min(column + _SCAN_CHUNK, end)
-        code = _i4(1) if exact else _alike(seen, column, stop)
+        code = _i4(1) if exact or hides else _alike(seen, column, stop)
         while column < stop:
             sees = code == 2
             if code == 1:
@@ -425,6 +439,9 @@ def _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs
                     u, v, sees = _place_exactly(xs[column], y, w, models, lenses, j)
                     if sees:
                         places[2 * j, column], places[2 * j + 1, column] = u, v
+            if sees and hides:
+                u, v = np.float64(places[2 * j, column]), np.float64(places[2 * j + 1, column])
+                sees = not _is_hidden(u, v, models, layout, hidden, j)
             if sees and opened < 0:
                 opened = column
             elif opened >= 0 and not sees:
@@ -700,14 +717,14 @@ def _column(x, x_first, x_step, count, slack):
 
 
 @njit(**_TIGHT)
-def _bounds(models, j, y, w_low, w_high, x_first, x_step, count):
+def _bounds(models, j, limits, y, w_low, w_high, x_first, x_step, count):
     """Columns of a row that a source sees at most, and those that it sees for certain: start, first, last, end.
 
     `w_low` and `w_high` bound w on the row.
     """
     outer_low, outer_high = -np.inf, np.inf
     inner_low, inner_high = -np.inf, np.inf
-    for k in range(LIMITS, LIMITS + 5):
+    for k in range(limits, limits + 5):
         a, rest, b = models[j, k, 0], models[j, k, 1] * y + models[j, k, 2], models[j, k, 3]
         one, other = rest + b * w_low, rest + b * w_high
         most, least = (one, other) if one > other else (other, one)
@@ -751,6 +768,32 @@ def _see(xs, start, end, y, scene, models, j, seen):
         seen[i] = 1 if (least >= 0) & (ahead > 0) else 0
 
 
+@njit(**_INNER)
+def _hide(xs, start, end, y, scene, models, j, layout, hidden, seen):
+    """Takes pixels of a stretch of a row out of `seen` whose place in the source is hidden, in float64."""
+    per_length, ground_x, square = scene[PER_LENGTH], scene[GROUND], y * y + 1
+    ground = scene[GROUND + 1] * y + scene[GROUND + 2]
+    at, columns = layout[j, HIDDEN_START], layout[j, HIDDEN_WIDTH]
+    for i in range(_u8(start), _u8(end)):
+        x = xs[i]
+        w = _inverse_depth_at(x, square, per_length, ground_x, ground)
+        least = np.inf
+        for k in range(HIDDEN, HIDDEN + 4):
+            value = models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w
+            least = value if value < least else least
+        k = HIDDEN + 4
+        ahead = models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w
+        if (least < 0) | (ahead <= 0):
+            continue
+        k = HIDDEN
+        across = (models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w) / ahead
+        k = HIDDEN + 2
+        down = (models[j, k, 0] * x + (models[j, k, 1] * y + models[j, k, 2]) + models[j, k, 3] * w) / ahead
+        column = min(int(across), columns - 1)
+        if hidden[at + int(down) * columns + column]:
+            seen[i] = 0
+
+
 @njit(**_TIGHT)
 def _inverse_depth_bounds(xs, y, scene):
     """Bounds of w on a row."""
@@ -766,7 +809,7 @@ def _inverse_depth_bounds(xs, y, scene):
 
 
 @njit(**_INNER)
-def _runs(xs, xs32, y, scene, models, lenses, sources, source_count, runs, seen, floats, places):
+def _runs(xs, xs32, y, scene, models, layout, lenses, hidden, sources, source_count, runs, seen, floats, places):
     """The runs of columns that each source sees on a row: fills `runs` (n, 3) with start, end, source; returns n.
 
     Of sources with distortion `places` (2 sources, W) then holds the pixels.
@@ -777,7 +820,7 @@ def _runs(xs, xs32, y, scene, models, lenses, sources, source_count, runs, seen,
     known_to = 0
     for s in range(source_count):
         j = sources[s]
-        start, first, last, end = _bounds(models, j, y, low, high, xs[0], step, width)
+        start, first, last, end = _bounds(models, j, LIMITS, y, low, high, xs[0], step, width)
         if end == start:
             continue
         if lenses[j, KIND] > 0:
@@ -785,10 +828,21 @@ def _runs(xs, xs32, y, scene, models, lenses, sources, source_count, runs, seen,
                 known_to = _whole_lanes(width)
                 _inverse_depth(xs32, 0, known_to, y, scene, floats)
             _place(xs32, start, _whole_lanes(end - start), y, models, lenses, j, floats, places, seen)
-            count = _placed_runs(xs, start, end, y, scene, models, lenses, j, places, seen, runs, count)
+            count = _placed_runs(
+                xs, start, end, y, scene, models, layout, lenses, hidden, j, places, seen, runs, count
+            )
             continue
+        left = right = start
+        if layout[j, HIDDEN_WIDTH] > 0:
+            left, _, _, right = _bounds(models, j, HIDDEN, y, low, high, xs[0], step, width)
+            left, right = max(left, start), min(right, end)
+        if left < right:
+            first, last = (first, min(last, left)) if left - first > last - right else (max(first, right), last)
+            first, last = (first, last) if first < last else (start, start)
         _see(xs, start, first, y, scene, models, j, seen)
         _see(xs, last, end, y, scene, models, j, seen)
+        if left < right:
+            _hide(xs, left, right, y, scene, models, j, layout, hidden, seen)
         opened, column = -1, start
         while column < end:
             if column == first and last > first:
@@ -866,15 +920,17 @@ def _fill(canvas, start, end, value):
 
 @njit(**_INNER)
 def _draw_row(
-    xs64, xs, y, sources, source_count, scene, models, layout, lenses, borders, nearest, atlas, chroma, canvas, at,
-    plane_size, covered, covered_at, runs, cuts, covering, seen, ints, taps, floats, places
+    xs64, xs, y, sources, source_count, scene, models, layout, lenses, borders, hidden, nearest, atlas, chroma,
+    canvas, at, plane_size, covered, covered_at, runs, cuts, covering, seen, ints, taps, floats, places
 ):  # fmt: skip
     """Draws one row of the luma plane (chroma 0) or of both chroma planes (1), which starts at `at` in `canvas`.
 
     Returns the number of its pixels that a source sees.
     """
     width, seen_pixels = xs64.size, 0
-    count = _runs(xs64, xs, y, scene, models, lenses, sources, source_count, runs, seen, floats, places)
+    count = _runs(
+        xs64, xs, y, scene, models, layout, lenses, hidden, sources, source_count, runs, seen, floats, places
+    )
     number = _cuts(runs, count, width, cuts)
     if count:
         _inverse_depth(xs, cuts[1], _whole_lanes(cuts[number - 2] - cuts[1]), y, scene, floats)
@@ -927,8 +983,8 @@ def _draw_row(
 
 @njit(**_OPTIONS)
 def draw_view(
-    xs, xs32, ys, xs_chroma, xs_chroma32, ys_chroma, scene, models, layout, lenses, borders, nearest, atlas, canvas,
-    covered, runs, cuts, sources, covering, seen, ints, taps, floats, places
+    xs, xs32, ys, xs_chroma, xs_chroma32, ys_chroma, scene, models, layout, lenses, borders, hidden, nearest, atlas,
+    canvas, covered, runs, cuts, sources, covering, seen, ints, taps, floats, places
 ):  # fmt: skip
     """Draws a virtual picture in planes: Y (H, W), then U and V (H / 2, W / 2, rounded up).
 
@@ -941,6 +997,7 @@ def draw_view(
         layout: (sources, LAYOUT_COLUMNS) int64, see PLANES.
         lenses: (sources, LENS_COLUMNS) float64, see KIND.
         borders: float32, sines to the four sides of the pictures of sources with distortion.
+        hidden: uint8, not 0 where nothing may be sampled: boxes of the sources' pictures, and a row more of 0.
         nearest: take the source with the largest weight instead of mixing.
         atlas: uint8, the source planes; each row has a byte more, each plane a row more than the picture.
         canvas: uint8 result, three planes with LANES bytes of padding after each; Y 0 and chroma 128 where no
@@ -960,7 +1017,7 @@ def draw_view(
             half = row // 2
             in_row = _draw_row(
                 xs_chroma if chroma else xs, xs_chroma32 if chroma else xs32, ys_chroma[half] if chroma else ys[row],
-                sources, count, scene, models, layout, lenses, borders, nearest, atlas, chroma, canvas,
+                sources, count, scene, models, layout, lenses, borders, hidden, nearest, atlas, chroma, canvas,
                 height * width + LANES + half * chroma_width if chroma else row * width, chroma_size,
                 covered, row * width, runs, cuts, covering, seen, ints, taps, floats, places,
             )  # fmt: skip
@@ -1058,8 +1115,8 @@ def warm_up() -> None:
     lenses, borders = np.zeros((0, LENS_COLUMNS)), np.zeros(0, np.float32)
     half = axis[:1].copy()
     draw_view(
-        axis, axis32, axis, half, axis32, half, np.ones(MIN_SHARE + 1), models, layout, lenses, borders, False,
-        planes, planes.copy(), planes.copy(), *scratch(2, 0),
+        axis, axis32, axis, half, axis32, half, np.ones(MIN_SHARE + 1), models, layout, lenses, borders,
+        planes.copy(), False, planes, planes.copy(), planes.copy(), *scratch(2, 0),
     )  # fmt: skip
     split_planes(np.zeros((2, 2, 3), np.uint8), *np.zeros((3, 2, 2), np.uint8))
     plane = np.zeros((2, 2), np.uint8)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
+from unidrive_cli.warp.exposure import Exposure, even_out
 from unidrive_cli.warp.pictures import Picture, encode_jpeg, read_picture
 from unidrive_cli.warp.reduction import Copies, Reductions
 from unidrive_cli.warp.remap import (
@@ -51,6 +52,7 @@ class OpenCVRenderer:
         self.views = virtual_views(rig, choices.depth_limit_m, choices.ground_height_m)
         self._blend = choices.blend
         self._blanks = blanks_of(common, len(self.views))
+        self._exposure = Exposure(self.views) if choices.exposure == "gain" else None
         self._reductions = Reductions(self.views, anti_alias=choices.anti_alias)
         self._tables: tuple[object, list[ViewTables]] | None = None
 
@@ -58,14 +60,15 @@ class OpenCVRenderer:
         self, paths: Sequence[Path], sources: Sequence[Source], quality: int, hint: str
     ) -> Iterator[VirtualPicture]:
         """See `unidrive_cli.warp.render.Renderer`."""
-        pictures = Copies(
-            [
-                read_picture(path, (source.lens.width_px, source.lens.height_px), hint)
-                for path, source in zip(paths, sources, strict=True)
-            ]
-        )
+        pictures = [
+            read_picture(path, (source.lens.width_px, source.lens.height_px), hint)
+            for path, source in zip(paths, sources, strict=True)
+        ]
+        if self._exposure:
+            even_out(self._exposure, sources, pictures)
+        copies = Copies(pictures)
         for tables, blanks in zip(self.tables(sources), self._blanks, strict=True):
-            picture = tables.render(pictures)
+            picture = tables.render(copies)
             if blanks:
                 blanks.cover(tables.mask)
                 blanks.blank(picture)
@@ -73,11 +76,14 @@ class OpenCVRenderer:
 
     def tables(self, sources: Sequence[Source]) -> list[ViewTables]:
         """The remap tables of all virtual cameras for these sources."""
-        key = tuple((source.lens, source.cam_from_ego.tobytes(), source.calibrated.tobytes()) for source in sources)
+        key = tuple(
+            (source.lens, source.cam_from_ego.tobytes(), source.calibrated.tobytes(), source.own_car)
+            for source in sources
+        )
         if self._tables is None or self._tables[0] != key:
             self._tables = None
             built = [
-                ViewTables(view, build_patches(view, sources, self._blend), reductions)
+                ViewTables(view, build_patches(view, sources, self._blend, reductions), reductions)
                 for view, reductions in zip(self.views, self._reductions.of(sources), strict=True)
             ]
             self._tables = (key, built)

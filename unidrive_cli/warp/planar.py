@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -18,7 +19,9 @@ from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp import fused
 from unidrive_cli.warp.choices import WarpChoices
 from unidrive_cli.warp.common import CommonMasks, blanks_of
+from unidrive_cli.warp.exposure import Exposure, brighten
 from unidrive_cli.warp.lens_numbers import lens_numbers, numbers_of_all
+from unidrive_cli.warp.own_car import HALF_PX, OwnCar, hidden_of
 from unidrive_cli.warp.pictures import check_size, decode_picture, hinting, is_jpeg, read_file, reason
 from unidrive_cli.warp.reduction import MAX_REDUCTION, STEPS, Reductions, reduced_size
 from unidrive_cli.warp.remap import MIN_SHARE, Mask, Source, VirtualView, virtual_views
@@ -47,6 +50,7 @@ class PlanarRenderer:
         self._blanks = blanks_of(common, len(views))
         self._nearest = choices.blend == "nearest"
         self._reductions = Reductions(views, anti_alias=choices.anti_alias)
+        self._exposure = Exposure(views) if choices.exposure == "gain" else None
         self._turbo = TurboJpeg() if codec == "libturbojpeg" else None
         self._atlas: Atlas | None = None
 
@@ -62,6 +66,9 @@ class PlanarRenderer:
         with hinting(hint):
             for index, path in enumerate(paths):
                 self._atlas.load(index, path, self._turbo)
+        if self._exposure:
+            self._atlas.brighten(self._exposure.gains(sources, self._atlas.lumas))
+        self._atlas.reduce()
         for canvas, blanks, of_view in zip(self._canvases, self._blanks, reductions, strict=True):
             canvas.draw(self._atlas, sources, nearest=self._nearest, reductions=of_view)
             covered_px = canvas.covered_px
@@ -119,20 +126,11 @@ class Atlas:
         return _plane(self.memory, row, 0), _plane(self.memory, row, 1), _plane(self.memory, row, 2)
 
     def load(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
-        """Reads a picture file into its planes, and reduces them to those of its copies.
+        """Reads a picture file into its planes.
 
         Raises:
             PictureError: missing, broken, or of another size.
         """
-        self._decode(index, path, turbo)
-        for row, (picture, n) in enumerate(self.copies, len(self.sizes)):
-            if picture == index:
-                sides = self.layout[index, fused.SIZES : fused.SIZES + 4]
-                for plane, (whole, copy) in enumerate(zip(self.planes(index), self.planes(row), strict=True)):
-                    width, height = sides[2 * (plane > 0) :][:2]
-                    fused.reduce_plane(whole, height, width, round(STEPS * n), *self._sums, copy)
-
-    def _decode(self, index: int, path: Path, turbo: TurboJpeg | None) -> None:
         data, planes = read_file(path), self.planes(index)
         check_size(data, self.sizes[index], str(path))
         if turbo and is_jpeg(data):
@@ -147,6 +145,25 @@ class Atlas:
             self._bgr = np.empty(3 * width * height, dtype=np.uint8)
         picture = decode_picture(data, (width, height), str(path), replicate_chroma=True, memory=self._bgr)
         fused.split_planes(picture, *planes)
+
+    @property
+    def lumas(self) -> list[Bytes]:
+        """Y of each picture."""
+        return [self.planes(index)[0] for index in range(len(self.sizes))]
+
+    def brighten(self, gains: Float) -> None:
+        """Multiplies the colours of each picture by its gain (n,)."""
+        for index, gain in enumerate(gains):
+            for plane, zero in zip(self.planes(index), (0, 128, 128), strict=True):
+                brighten(plane, gain, zero)
+
+    def reduce(self) -> None:
+        """Makes the copies of the pictures."""
+        for row, (picture, n) in enumerate(self.copies, len(self.sizes)):
+            sides = self.layout[picture, fused.SIZES : fused.SIZES + 4]
+            for plane, (whole, copy) in enumerate(zip(self.planes(picture), self.planes(row), strict=True)):
+                width, height = sides[2 * (plane > 0) :][:2]
+                fused.reduce_plane(whole, height, width, round(STEPS * n), *self._sums, copy)
 
 
 class Canvas:
@@ -217,7 +234,10 @@ class Canvas:
         Args:
             reductions: which copy of each source is sampled; the full pictures where empty.
         """
-        reductions = reductions or (1.0,) * len(sources)
+        reductions = tuple(reductions) or (1.0,) * len(sources)
+        boxes, hidden = _hidden(tuple(source.own_car for source in sources), reductions)
+        layout = atlas.layout_of(reductions)
+        layout[:, fused.HIDDEN_START : fused.HIDDEN_WIDTH + 1] = boxes[:, :2]
         if self._sources != len(sources):
             self._sources, self._scratch = len(sources), fused.scratch(len(self.xs[0]), len(sources))
         self.covered_px = fused.draw_view(
@@ -228,9 +248,10 @@ class Canvas:
             self._xs32[1],
             self.ys[1],
             self.scene,
-            source_models(self.view, sources, reductions),
-            atlas.layout_of(reductions),
+            source_models(self.view, sources, reductions, boxes),
+            layout,
             *numbers_of_all(tuple(source.lens for source in sources)),
+            hidden,
             nearest,
             atlas.memory,
             self._memory,
@@ -239,21 +260,53 @@ class Canvas:
         )
 
 
-def source_models(view: VirtualView, sources: Sequence[Source], reductions: Sequence[float]) -> Float:
-    """What the kernel knows of each source and the copy that is sampled: (n, MODEL_ROWS, 4), see `fused.LIMITS`."""
+def source_models(
+    view: VirtualView, sources: Sequence[Source], reductions: Sequence[float], boxes: npt.NDArray[np.int64]
+) -> Float:
+    """What the kernel knows of each source and the copy that is sampled: (n, MODEL_ROWS, 4), see `fused.LIMITS`.
+
+    Args:
+        boxes: of what is hidden, see `_hidden`.
+    """
     models = np.zeros((len(sources), fused.MODEL_ROWS, 4))
     points = np.array([source.cam_from_ego for source in sources]).reshape(-1, 4, 4) @ view.camera.ego_from_cam
     forms = np.array([lens_numbers(source.lens).forms for source in sources]).reshape(-1, fused.ASIDE, 3)
     models[:, : fused.ASIDE] = forms @ points[:, :3]
-    for model, source, n in zip(models, sources, reductions, strict=True):
+    for model, source, n, (_, width, height, left, top) in zip(models, sources, reductions, boxes, strict=True):
         if not isinstance(source.lens, Pinhole):
             model[fused.LUMA, :2] = 1 / n, 0.5 / n - 0.5
             model[fused.CHROMA, :2] = 0.5 / n, 0.25 / n - 0.5
+            model[fused.HIDDEN] = left - HALF_PX, top - HALF_PX, width, height
             continue
+        if width:
+            u, v, depth = model[fused.LUMA : fused.LUMA + 3]
+            sides = u - (left - HALF_PX) * depth, (left + width - HALF_PX) * depth - u
+            ends = v - (top - HALF_PX) * depth, (top + height - HALF_PX) * depth - v
+            model[fused.HIDDEN : fused.HIDDEN + 5] = *sides, *ends, depth
         for row in (fused.LUMA, fused.CHROMA) if n > 1 else ():
             model[row : row + 2] = model[row : row + 2] / n + (0.5 / n - 0.5) * model[row + 2]
     models[:, fused.ASIDE, :3] = np.matmul(points[:, None, :3, 3], points[:, :3, :3])[:, 0]
     return models
+
+
+@functools.lru_cache(maxsize=64)
+def _hidden(
+    cars: tuple[OwnCar | None, ...], reductions: tuple[float, ...]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
+    """What is hidden of several sources: boxes (n, 5) of start in memory, width, height, left, top; and that memory.
+
+    There is a row of zeros after the pixels of each box.
+    """
+    boxes, planes, start = np.zeros((len(cars), 5), np.int64), [np.zeros(1, np.uint8)], 1
+    for box, car, n in zip(boxes, cars, reductions, strict=True):
+        hidden = hidden_of(car, n) if car else None
+        if hidden is None or not hidden.pixels.size:
+            continue
+        height, width = hidden.pixels.shape
+        box[:] = start, width, height, hidden.left, hidden.top
+        planes += [hidden.pixels.ravel(), np.zeros(width, np.uint8)]
+        start += (height + 1) * width
+    return boxes, np.concatenate(planes)
 
 
 def _half(size_px: int) -> int:

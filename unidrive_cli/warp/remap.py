@@ -17,6 +17,7 @@ from unidrive_cli.geometry.poses import inverse, transform
 from unidrive_cli.geometry.scene import GroundPlane, HalfBall
 from unidrive_cli.rig.model import Camera, Rig
 from unidrive_cli.warp.choices import Blend
+from unidrive_cli.warp.own_car import OwnCar, hidden_of
 
 Mask = npt.NDArray[np.uint8]
 
@@ -36,11 +37,13 @@ class Source:
         cam_from_ego: (4, 4) from the virtual picture's ego frame into the source camera, the ego
             motion between the two moments included.
         cam_from_own_ego: (4, 4) the calibration alone; None where `cam_from_ego` is just that.
+        own_car: what of the picture shows the own car, and is not sampled.
     """
 
     lens: Lens
     cam_from_ego: Float
     cam_from_own_ego: Float | None = None
+    own_car: OwnCar | None = None
 
     @property
     def calibrated(self) -> Float:
@@ -138,16 +141,24 @@ class Patch:
     weight: npt.NDArray[np.float32]
 
 
-def build_patches(view: VirtualView, sources: Sequence[Source], blend: Blend) -> list[Patch]:
+def build_patches(
+    view: VirtualView, sources: Sequence[Source], blend: Blend, reductions: Sequence[float] = ()
+) -> list[Patch]:
     """The remap tables of one virtual camera: one patch per source that it overlaps with.
 
     With `angular`, shares below 1/512 are dropped: each could change an 8-bit pixel by at most half a
     level. With `nearest`, each pixel belongs to the source with the largest weight. The patches are
     cropped to what remains.
+
+    Args:
+        reductions: which copy of each source is sampled, see `unidrive_cli.warp.reduction`; none where empty.
     """
+    reductions = reductions or (1.0,) * len(sources)
     lens = view.camera.lens
     patches = [
-        patch for index, source in enumerate(sources) if (patch := _project_patch(view, source, index)) is not None
+        patch
+        for index, (source, n) in enumerate(zip(sources, reductions, strict=True))
+        if (patch := _project_patch(view, source, index, n)) is not None
     ]
     count = np.zeros((lens.height_px, lens.width_px), dtype=np.uint8)
     for patch in patches:
@@ -212,11 +223,13 @@ def dominant_sources(view: VirtualView, patches: Sequence[Patch]) -> npt.NDArray
     return dominant
 
 
-def _project_patch(view: VirtualView, source: Source, index: int) -> Patch | None:
+def _project_patch(view: VirtualView, source: Source, index: int, n: float) -> Patch | None:
     box = candidate_box(view, source)
     if box is None:
         return None
     exact, valid = source.lens.project(view.points(source.cam_from_ego, *box))
+    if source.own_car:
+        valid &= ~hidden_of(source.own_car, n).holds(np.where(valid[..., None], exact, 0))
     pixels = exact.astype(np.float32)
     pixels[~valid] = 0
     return _cropped(Patch(index, box, pixels, valid, valid.astype(np.float32)))
