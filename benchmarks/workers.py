@@ -4,7 +4,9 @@
 
 Runs `convert`'s own units on copies of the genuine nuScenes keyframe, each at its own moment, in worker
 processes, start of the processes and loading of the kernel included. Prints one JSON object: seconds by number
-of samples and of workers, the speed-up, and the largest resident memory of a worker.
+of samples and of workers, the speed-up, and the largest resident memory of a worker. `codec` is what the machine's
+cores give processes that only decode and encode the same pictures with OpenCV, in the same run: cores that share
+memory, power or a host are not as fast together as each alone.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+
+import cv2
 
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
@@ -35,6 +39,14 @@ def unit_and_memory(job: Job, frame: Frame) -> float:
     """Does a unit; returns the largest resident memory of this process so far, in MB."""
     run_unit(job, frame)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def decode_and_encode(paths: tuple[str, ...], number: int) -> int:
+    """What the codec alone does for a sample."""
+    cv2.setNumThreads(1)
+    for path in paths:
+        cv2.imencode(".jpg", cv2.imread(path), [cv2.IMWRITE_JPEG_QUALITY, 95])
+    return number
 
 
 def at_another_moment(frame: Frame, number: int) -> Frame:
@@ -66,6 +78,7 @@ def main() -> None:
     for samples in chosen.samples:
         frames = [at_another_moment(frame, number) for number in range(samples)]
         best: dict[int, float] = {}
+        codec: dict[int, float] = {}
         memory = 0.0
         for _ in range(chosen.rounds):
             for jobs in chosen.jobs:
@@ -76,13 +89,18 @@ def main() -> None:
                     peaks = list(in_workers(functools.partial(unit_and_memory, job), frames, jobs))
                     seconds = time.monotonic() - started
                 best[jobs] = min(seconds, best.get(jobs, seconds))
+                started = time.monotonic()
+                list(in_workers(functools.partial(decode_and_encode, frame.paths), range(samples), jobs))
+                seconds = time.monotonic() - started
+                codec[jobs] = min(seconds, codec.get(jobs, seconds))
                 memory = max(memory, *peaks)
-        first = best[chosen.jobs[0]]
+        first, first_codec = best[chosen.jobs[0]], codec[chosen.jobs[0]]
         results.append(
             {
                 "samples": samples,
                 "seconds": {jobs: round(seconds, 2) for jobs, seconds in best.items()},
                 "speed_up": {jobs: round(first / seconds, 2) for jobs, seconds in best.items()},
+                "codec_speed_up": {jobs: round(first_codec / seconds, 2) for jobs, seconds in codec.items()},
                 "worker_mb": round(memory),
             }
         )
