@@ -6,15 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.datasets import paint
-from tests.fuzzing import fuzz
+from tests.fuzzing import fuzz, to_break
 
 CASES, GROUP = 200, 5
 
 
 @pytest.fixture(scope="module")
 def painted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return paint(tmp_path_factory.mktemp("painted") / "drive", samples=1)
+    return to_break(tmp_path_factory.mktemp("painted") / "drive")
 
 
 @pytest.mark.parametrize("first", range(0, CASES, GROUP))
