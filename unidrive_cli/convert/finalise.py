@@ -27,7 +27,7 @@ from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.geometry.poses import inverse, quaternion_from_rotation
 from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
-from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination
+from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination, writing
 from unidrive_cli.tables.devkit import LABELS, labels_refused
 from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
@@ -92,7 +92,7 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
     tables = OutputTables(plan, receipts)
     notes: list[str] = []
     staged = destination.work / "tables"
-    try:
+    with writing(destination):
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir(parents=True)
         tables.write(_writer(staged))
@@ -110,12 +110,6 @@ def finalise(plan: Plan, destination: Destination, receipts: dict[str, Receipt],
         shutil.rmtree(final, ignore_errors=True)
         staged.rename(final)
         destination.write(PROVENANCE, _provenance(plan, summary))
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written: {error.strerror}.",
-            where=str(error.filename or destination.root),
-            hint="Run the same command again when this is mended.",
-        ) from error
     return summary
 
 

@@ -34,6 +34,7 @@ from unidrive_cli.tables.destination import (
     held,
     resolved_destination,
     sweep,
+    writing,
 )
 from unidrive_cli.tables.splits import SPLITS
 
@@ -97,17 +98,11 @@ def merge(
             summary.verified = verify_dataset(root, plan.version, plan.digest, whole=plan.verify == "full")
             return summary
         destination = begin(root, plan.identity, same=same, force=force)
-        try:
+        with writing(destination, "When that is mended, the same command continues."):
             summary = _merged(plan, destination, progress)
             summary.seconds = {"merge": round(time.monotonic() - started, 3)}
             run = {"seconds": summary.seconds, "host": platform.node(), "platform": platform.platform()}
             destination.write(RUN, _json(run | {"python": platform.python_version()}))
-        except OSError as error:
-            raise OutputError(
-                f"cannot be written: {error.strerror}.",
-                where=str(error.filename or destination.root),
-                hint="When that is mended, the same command continues.",
-            ) from error
         finish(destination, keep_work=False)
     return summary
 

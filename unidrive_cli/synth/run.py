@@ -38,6 +38,7 @@ from unidrive_cli.tables.destination import (
     held,
     resolved_destination,
     sweep,
+    writing,
 )
 from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import TABLES
@@ -250,7 +251,7 @@ def _finalise(plan: SynthPlan, target: Target, seconds: float) -> SynthSummary:
     staged = destination.work / "tables"
     splits = scene_names(options)
     names = [name for split in splits.values() for name in split]
-    try:
+    with writing(destination):
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir(parents=True)
         scenes = [
@@ -291,12 +292,6 @@ def _finalise(plan: SynthPlan, target: Target, seconds: float) -> SynthSummary:
             "numpy": np.__version__,
         }
         destination.write(RUN, _json(run))
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written: {error.strerror}.",
-            where=str(error.filename or destination.root),
-            hint="Run the same command again when this is mended.",
-        ) from error
     finish(destination, keep_work=False)
     return summary
 

@@ -308,6 +308,23 @@ def join(root: Path, identity: dict[str, Any]) -> Destination:
     return destination
 
 
+@contextlib.contextmanager
+def writing(
+    destination: Destination, hint: str = "Run the same command again when this is mended."
+) -> Iterator[None]:
+    """What the disk refuses meanwhile is an error of the destination.
+
+    Raises:
+        OutputError: a file could not be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written: {error.strerror}.", where=str(error.filename or destination.root), hint=hint
+        ) from error
+
+
 def finish(destination: Destination, *, keep_work: bool) -> None:
     """Takes the marker away: the rename is the moment from which the dataset is complete.
 
