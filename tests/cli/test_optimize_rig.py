@@ -177,6 +177,13 @@ def test_a_dataset_without_boxes(drive: Path, search: Path, bench: Bench, tmp_pa
     assert unidrive("optimize-rig", bench.src, "--boxes", drive, *rest).code == 0
 
 
+@pytest.mark.parametrize(("table", "field"), [("ego_pose", "translation"), ("sample_annotation", "size")])
+def test_lengths_that_are_none(table: str, field: str, search: Path, bench: Bench, tmp_path: Path) -> None:
+    bench.edit(table, lambda found: found[0].update({field: [1e308, 1, 1]}))
+    refused(3, f"{table}.json", bench.src, "--search", search, "--out", tmp_path / "found.yaml")
+    refused(3, "metres", "4x95", "--boxes", bench.src, "--search", search, "--out", tmp_path / "found.yaml")
+
+
 def test_boxes_that_nobody_sees(search: Path, bench: Bench, tmp_path: Path) -> None:
     def lift(found: list[dict[str, Any]]) -> None:
         for row in found:

@@ -412,6 +412,21 @@ def test_a_box_without_a_rotation(bench: Bench) -> None:
     refused(unidrive("measure", bench.src, "--rig", RIG), 3, "sample_annotation.json", "rotation", "unit quaternion")
 
 
+@pytest.mark.parametrize(
+    ("table", "field", "value"),
+    [
+        ("ego_pose", "translation", [1e308, 0, 0]),
+        ("calibrated_sensor", "translation", [0, -1e10, 0]),
+        ("sample_annotation", "translation", [0, 0, 1e200]),
+        ("sample_annotation", "size", [1, 1e308, 1]),
+        ("sample_annotation", "size", [1, -1, 1]),
+    ],
+)
+def test_lengths_that_are_none(bench: Bench, table: str, field: str, value: list[float]) -> None:
+    bench.edit(table, lambda found: found[0].update({field: value}))
+    refused(unidrive("measure", bench.src, "--rig", RIG), 3, f"{table}.json", field, "metres")
+
+
 def test_samples_without_boxes_are_said(bench: Bench) -> None:
     one = rows(bench.src, "sample")[0]["token"]
     bench.edit(

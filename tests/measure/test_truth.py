@@ -405,6 +405,12 @@ def test_a_pose_that_differs_by_rounding_is_the_same(copy: Path) -> None:
     assert form_b(copy)["samples"] == SAMPLES
 
 
+@pytest.mark.parametrize("dataset", ["truth", "out", "src"])
+def test_a_pose_that_is_nowhere(copy: Path, dataset: str) -> None:
+    edit(copy / dataset, "ego_pose", lambda found: found[0].update(translation=[1e308, 0, 0]))
+    (refused_b if dataset == "src" else refused_a)(copy, 3, "ego_pose.json", "metres")
+
+
 def test_another_lens(copy: Path) -> None:
     token, change = calibration(copy / "truth", "CAM_FRONT_LEFT")
     change(lambda row: row["camera_intrinsic"][0].__setitem__(0, row["camera_intrinsic"][0][0] + 2))

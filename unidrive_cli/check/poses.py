@@ -21,7 +21,7 @@ UNIT_TOLERANCE = 1e-3
 
 
 def check_poses(dataset: Dataset) -> None:
-    """What a conversion needs of POSE-1, POSE-2 and BOX-1; boxes may be flat.
+    """What arithmetic with poses and boxes needs of POSE-1, POSE-2 and BOX-1; boxes may be flat.
 
     Raises:
         DatasetError: naming the first row that breaks it.

@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
-from unidrive_cli.errors import DatasetError
+from unidrive_cli.check.poses import check_poses
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.boxes import corners
 from unidrive_cli.geometry.lenses import Lens
@@ -81,8 +81,9 @@ class BoxCorners:
 
         Raises:
             UsageError: an unknown camera.
-            DatasetError: annotations whose instance is not there.
+            DatasetError: numbers that are no pose or no box, annotations whose instance is not there.
         """
+        check_poses(dataset)
         self._dataset = dataset
         self._channels = set(dataset.camera_channels(cameras))
         self._ego_motion = ego_motion
@@ -102,7 +103,7 @@ class BoxCorners:
         """The corners of samples, in their order; samples without boxes or cameras are left out.
 
         Raises:
-            DatasetError: dangling tokens, or numbers that are no camera, no pose or no box.
+            DatasetError: dangling tokens, or numbers that are no camera.
         """
         described = (self._described(sample) for sample in samples)
         wanted = (one for one in described if len(one.boxes) and one.cameras)
@@ -141,7 +142,6 @@ class BoxCorners:
     def _corners(self, run: Sequence[_Described]) -> Corners:
         boxes = np.concatenate([one.boxes for one in run])
         sample = np.repeat(np.arange(len(run)), [len(one.boxes) for one in run])
-        self._check(boxes)
         global_from_ego = np.array([one.global_from_ego for one in run])[sample]
         to_ego = np.swapaxes(global_from_ego[:, :3, :3], -1, -2)
         ego_from_box = np.zeros((len(boxes), 4, 4))
@@ -159,18 +159,6 @@ class BoxCorners:
             np.repeat(sample, CORNERS),
             np.repeat(self._categories[boxes], CORNERS),
         )
-
-    def _check(self, boxes: npt.NDArray[np.int64]) -> None:
-        table = self._dataset.sample_annotation
-        norms = np.abs(self._rotations[boxes]).max(axis=1)
-        for row in table.rows_at(boxes[~((norms > 1e-6) & (norms < 1e6))][:1]):
-            raise DatasetError(
-                f"{list(row.rotation)} is no unit quaternion w, x, y, z.", where=table.place(row, "rotation")
-            )
-        for row in table.rows_at(boxes[(self._sizes[boxes] < 0).any(axis=1)][:1]):
-            raise DatasetError(
-                f"{list(row.size)}: width, length and height must not be negative.", where=table.place(row, "size")
-            )
 
 
 @dataclass(frozen=True, eq=False)

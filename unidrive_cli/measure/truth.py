@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from unidrive_cli.check.poses import check_poses
 from unidrive_cli.errors import DatasetError, UsageError
 from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.geometry.poses import relative, turn_rad
@@ -158,6 +159,8 @@ def _measure(
                 f"{camera.channel} of {subject.rig.name} is {camera.lens.width_px}x{camera.lens.height_px} pixels; "
                 f"SSIM needs {SSIM_WINDOW_PX} on either side."
             )
+    for dataset in (subject.dataset, truth):
+        check_poses(dataset)
     named = subject.dataset.scenes_named(scenes)
     samples = [sample for scene in named for sample in subject.dataset.samples_of_scene[scene.token]]
     common = [sample for sample in samples if sample.token in truth.sample.by_token]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from unidrive_cli.check.poses import check_poses
 from unidrive_cli.errors import DatasetError, UsageError
 from unidrive_cli.geometry import boxes
 from unidrive_cli.geometry.arrays import Float
@@ -67,8 +68,9 @@ def corners_of(dataset: Dataset, most_boxes: int) -> Float:
     """Corners (b, 8, 3) of a dataset's boxes in the ego frame at their samples' reference moments, metres.
 
     Raises:
-        DatasetError: dangling tokens, or numbers that are no pose.
+        DatasetError: dangling tokens, or numbers that are no pose or no box.
     """
+    check_poses(dataset)
     samples = dataset.sample_annotation.links("sample_token", dataset.sample)
     indices = np.flatnonzero(samples >= 0)
     if len(indices) > most_boxes:
