@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from nuscenes.nuscenes import NuScenes
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from tests.painted import nuscenes_like_cameras, write_painted
@@ -30,6 +31,8 @@ cameras:
   CAM_FRONT: {width: 64, height: 36, hfov: 80, position: [1.5, 0.0, 1.6], yaw: 0}
   CAM_BACK: {width: 64, height: 36, hfov: 80, position: [0.0, 0.0, 1.6], yaw: 180}
 """
+COMMAND = get_command(app)
+"""Built once: that takes longer than most refusals."""
 CHANNELS = ("CAM_FRONT", "CAM_BACK")
 
 
@@ -59,8 +62,12 @@ def paint(root: Path, *, scenes: int = 1, samples: int = 3) -> Path:
 
 def unidrive(*arguments: object, env: Mapping[str, str | None] | None = None) -> Run:
     """Runs the command line in this process; a traceback or an `unexpected` error is a failure."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments], env=env)
-    run = Run(result.exit_code, result.stdout, result.stderr)
+    with CliRunner().isolation(env=env) as (stdout, stderr, *_):
+        with pytest.raises(SystemExit) as end:
+            COMMAND.main([str(argument) for argument in arguments], prog_name="unidrive")
+        sys.stdout.flush()
+        sys.stderr.flush()
+        run = Run(end.value.code or 0, stdout.getvalue().decode(), stderr.getvalue().decode())  # type: ignore[arg-type]
     _assert_sentences(run.stderr)
     return run
 
