@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import itertools
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from unidrive_cli.convert.plan import Moment, Plan, Unit, moments_by_scene
 from unidrive_cli.convert.units import Receipt
@@ -19,7 +22,7 @@ from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
-from unidrive_cli.tables.schema import EgoPose, Quaternion, Row, SampleAnnotation, Timestamp, Vector3
+from unidrive_cli.tables.schema import EgoPose, Quaternion, Row, Timestamp, Vector3
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
 from unidrive_cli.tables.table import (
     EMPTY,
@@ -36,6 +39,10 @@ from unidrive_cli.tables.table import (
 from unidrive_cli.tables.tokens import derived_token
 
 _NUMBERS = operator.attrgetter("camera", "annotation", "left", "top", "right", "bottom")
+_TAKEN_OVER = ("prev", "next", "visibility_token")
+"""Fields of an annotation that may change and that its 2D boxes have too."""
+_LARGEST = (IMAGE_ANNOTATIONS, "sample_data", "sample_annotation", "ego_pose")
+"""The tables that take longest, in this order."""
 _UNITS_A_RUN = 256
 
 
@@ -131,6 +138,7 @@ class OutputTables:
         self._receipts = receipts
         self._units = [unit for unit in plan.units if unit.sample.token in receipts]
         self._sweeps = [sweep for sweep in plan.sweeps if sweep.token in receipts]
+        self._picture_tokens_of: dict[str, list[str]] = {}
         self._levels = VisibilityLevels(plan.dataset.visibility.rows)
         self.counts = Counts(samples=len(self._units), sweeps=len(self._sweeps))
 
@@ -181,28 +189,25 @@ class OutputTables:
 
     def write(self, write_table: Callable[[str, RawRows], int]) -> None:
         """Calls `write_table(name, rows)` for every table of the output, for two at a time, and counts."""
-        kept, changes = self.kept_annotations, self._changed_annotations
-        scenes = dict(mended_scenes(self._dataset, {unit.sample.token for unit in self._units}))
-        instances = dict(mended_instances(self._dataset, kept))
         rows: dict[str, RawRows] = {
             "sensor": self._sensors(),
             "calibrated_sensor": self._calibrated_sensors(),
             "ego_pose": self._ego_poses(),
             "sample": self._linked_rows(self._dataset.sample, self.kept_samples),
             "sample_data": self._sample_data(),
-            "scene": self._dataset.scene.runs(_indices(scenes), scenes),
-            "sample_annotation": self._dataset.sample_annotation.runs(np.flatnonzero(kept), changes),
-            "instance": self._dataset.instance.runs(_indices(instances), instances),
-            "visibility": [*self._dataset.visibility.raw, *map(msgspec.json.encode, self._levels.added)],
+            "scene": self._scenes(),
+            "sample_annotation": self._annotations(),
+            "instance": self._instances(),
+            "visibility": self._visibilities(),
             IMAGE_ANNOTATIONS: self._boxes_2d(),
         }
         for name in ("category", "attribute", "map"):
             rows[name] = getattr(self._dataset, name).raw
         rows["log"] = self._logs()
-        names = sorted(rows)
-        with ThreadPoolExecutor(2) as threads:
+        names = [*_LARGEST, *sorted(rows.keys() - set(_LARGEST))]
+        with _no_garbage_collection(), ThreadPoolExecutor(2) as threads:
             counts = threads.map(write_table, names, [rows[name] for name in names])
-            self.counts.tables.update(zip(names, counts, strict=True))
+            self.counts.tables.update(sorted(zip(names, counts, strict=True)))
         receipts = [self._receipts[unit.sample.token] for unit in self._units]
         moments: Iterator[Moment] = itertools.chain(self._units, self._sweeps)
         self.counts.pictures = sum(sum(self._has_picture(moment)) for moment in moments)
@@ -232,6 +237,24 @@ class OutputTables:
                     places = target.find(tokens)
                     stays &= (places == EMPTY) | are_kept(kept, places)
                 yield name, [row for row, stay in zip(rows, stays.tolist(), strict=True) if stay]
+
+    def _scenes(self) -> RawRows:
+        changes = dict(mended_scenes(self._dataset, {unit.sample.token for unit in self._units}))
+        yield from self._dataset.scene.runs(_indices(changes), changes)
+
+    def _annotations(self) -> RawRows:
+        table, kept = self._dataset.sample_annotation, self.kept_annotations
+        yield from table.runs(np.flatnonzero(kept), self._changed_annotations)
+
+    def _instances(self) -> RawRows:
+        changes = dict(mended_instances(self._dataset, self.kept_annotations))
+        yield from self._dataset.instance.runs(_indices(changes), changes)
+
+    def _visibilities(self) -> RawRows:
+        """The levels of the source, and those that lowered annotations needed."""
+        yield from self._dataset.visibility.raw
+        if self._lowered:
+            yield from map(msgspec.json.encode, self._levels.added)
 
     def _sensors(self) -> Iterator[RawRow]:
         table = self._dataset.sensor
@@ -275,10 +298,11 @@ class OutputTables:
             zip(self._units, table.rows_at(places), strict=True),
             zip(self._sweeps, dataset.ego_poses_at(references), strict=True),
         )
-        for moment, pose in moments:
+        while several := list(itertools.islice(moments, _UNITS_A_RUN)):
             yield run_of(
                 [
                     _PoseRow(token, moment.timestamp, pose.rotation, pose.translation)
+                    for moment, pose in several
                     for token in itertools.compress(self._picture_tokens(moment), self._has_picture(moment))
                 ]
             )
@@ -293,7 +317,7 @@ class OutputTables:
             calibration, lens = self._token("calibrated_sensor", "", camera.channel), camera.lens
             for scene in by_scene:
                 moments = [moment for moment in scene if self._receipts[moment.token].picture_bytes[index]]
-                tokens = ["", *(self._picture_token(moment, camera.channel) for moment in moments), ""]
+                tokens = ["", *(self._picture_tokens(moment)[index] for moment in moments), ""]
                 yield run_of(
                     [
                         _PictureRow(
@@ -318,59 +342,53 @@ class OutputTables:
 
     def _boxes_2d(self) -> Iterator[Run]:
         """2D boxes in the form of the devkit's export_2d_annotations_as_json."""
-        dataset = self._dataset
-        categories = {row.token: row.name for row in dataset.category.rows}
-        instances = {row.token: categories.get(row.category_token, "") for row in dataset.instance.rows}
+        table, changes = self._dataset.sample_annotation, self._changed_annotations
+        are_changed = np.zeros(len(table.rows), dtype=bool)
+        are_changed[list(changes)] = True
         for start in range(0, len(self._units), _UNITS_A_RUN):
             units = self._units[start : start + _UNITS_A_RUN]
-            indices = [dataset.annotation_indices(unit.sample.token) for unit in units]
-            annotations = dataset.sample_annotation.parts_at(np.concatenate(indices), _Annotation)
-            rows: list[_BoxRow] = []
-            for unit, own in zip(units, indices, strict=True):
-                boxed = list(itertools.islice(annotations, len(own)))
-                self._add_boxes(rows, unit, own, boxed, instances)
-            yield run_of(rows)
-
-    def _add_boxes(
-        self,
-        rows: list[_BoxRow],
-        unit: Unit,
-        indices: Indices,
-        annotations: Sequence[_Annotation | SampleAnnotation],
-        instances: dict[str, str],
-    ) -> None:
-        """Adds those of one unit to the rows.
-
-        Args:
-            indices, annotations: (n,) its annotations.
-            instances: category names by instance token.
-        """
-        stays, changes = self.kept_annotations[indices].tolist(), self._changed_annotations
-        names, pictures, places = unit.pictures, self._picture_tokens(unit), indices.tolist()
-        for camera, place, left, top, right, bottom in map(_NUMBERS, self._receipts[unit.sample.token].boxes):
-            if not stays[place]:
-                continue
-            row = annotations[place]
-            prev, following, visibility = row.prev, row.next, row.visibility_token
-            if mended := changes.get(places[place]):
-                prev, following = mended.get("prev", prev), mended.get("next", following)
-                visibility = mended.get("visibility_token", visibility)
-            rows.append(
-                _BoxRow(
-                    row.attribute_tokens,
-                    (left, top, right, bottom),
-                    instances[row.instance_token],
-                    names[camera],
-                    row.instance_token,
-                    following,
-                    row.num_lidar_pts,
-                    row.num_radar_pts,
-                    prev,
-                    row.token,
-                    pictures[camera],
-                    visibility,
-                )
+            of_units = [self._dataset.annotation_indices(unit.sample.token) for unit in units]
+            first = itertools.accumulate(map(len, of_units), initial=0)
+            indices = np.concatenate(of_units)
+            rows = list(table.parts_at(indices, _Annotation))
+            for place in np.flatnonzero(are_changed[indices]).tolist():
+                fields = changes[int(indices[place])]
+                taken = {name: fields[name] for name in _TAKEN_OVER if name in fields}
+                rows[place] = msgspec.structs.replace(rows[place], **taken)
+            stays = self.kept_annotations[indices].tolist()
+            described = list(zip(rows, self._category_names[indices].tolist(), stays, strict=True))
+            yield run_of(
+                [
+                    _BoxRow(
+                        row.attribute_tokens,
+                        (left, top, right, bottom),
+                        category,
+                        pictures[camera],
+                        row.instance_token,
+                        row.next,
+                        row.num_lidar_pts,
+                        row.num_radar_pts,
+                        row.prev,
+                        row.token,
+                        tokens[camera],
+                        row.visibility_token,
+                    )
+                    for unit, offset in zip(units, first, strict=False)
+                    for pictures, tokens in [(unit.pictures, self._picture_tokens(unit))]
+                    for camera, place, left, top, right, bottom in map(_NUMBERS, self._receipts[unit.token].boxes)
+                    for row, category, is_kept in [described[offset + place]]
+                    if is_kept
+                ]
             )
+
+    @cached_property
+    def _category_names(self) -> npt.NDArray[np.object_]:
+        """(n,) the category of every annotation."""
+        dataset = self._dataset
+        names = {row.token: row.name for row in dataset.category.rows}
+        of_instances = [names.get(row.category_token, "") for row in dataset.instance.rows]
+        owners = dataset.sample_annotation.links("instance_token", dataset.instance)
+        return np.array(of_instances, dtype=object)[owners]
 
     @cached_property
     def _changed_annotations(self) -> dict[int, dict[str, Any]]:
@@ -395,17 +413,31 @@ class OutputTables:
 
     def _picture_tokens(self, moment: Moment) -> list[str]:
         """sample_data tokens of a unit's virtual pictures, in the rig's order; their poses have the same."""
-        return [self._picture_token(moment, channel) for channel in self._plan.rig.channels]
+        if moment.token not in self._picture_tokens_of:
+            channels = self._plan.rig.channels
+            self._picture_tokens_of[moment.token] = [
+                self._token("sample_data", moment.token, channel) for channel in channels
+            ]
+        return self._picture_tokens_of[moment.token]
 
     def _has_picture(self, moment: Moment) -> list[bool]:
         """Whether each of them was written."""
         return [size > 0 for size in self._receipts[moment.token].picture_bytes]
 
-    def _picture_token(self, moment: Moment, channel: str) -> str:
-        return self._token("sample_data", moment.token, channel)
-
     def _token(self, table: str, source_token: str, channel: str) -> str:
         return derived_token(table, source_token, self._plan.rig.digest, channel)
+
+
+@contextlib.contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Rows hold no circles, but a collection while they are made looks at everything that a plan holds."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _indices(changes: Mapping[int, Any]) -> Indices:

@@ -120,7 +120,7 @@ class Rig:
                     where=self.name,
                 )
 
-    @property
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Channel names in the rig's order."""
         return tuple(camera.channel for camera in self.cameras)
