@@ -22,15 +22,14 @@ from typing import Any
 from benchmarks.cross_rig.config import Config, Drive, Setting, Training, full, quick
 from benchmarks.cross_rig.drives import convert_drive, converted, render
 
-
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(4 << 30),
     "MALLOC_TOP_PAD_": str(64 << 20),
 }
-"""Environment of the processes: torch's second thread would only wait, and memory is kept instead of given back after
-every batch. Together that is nearly half of the CPU time of a training."""
+"""Environment of the processes: torch's second thread would only wait, and memory is kept, not given back after every
+batch. Together that is nearly half of the CPU time of a training."""
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
