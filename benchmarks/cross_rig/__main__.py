@@ -28,8 +28,8 @@ ONE_THREAD = {
     "MALLOC_TRIM_THRESHOLD_": str(4 << 30),
     "MALLOC_TOP_PAD_": str(64 << 20),
 }
-"""Environment of the processes: torch's second thread would only wait, and memory is kept, not given back after every
-batch. Together that is nearly half of the CPU time of a training."""
+"""Environment of the processes: torch's second thread would only wait, and freed memory is kept for the next batch.
+Together that is nearly half of the CPU time of a training."""
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
