@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from benchmarks.cross_rig import paper, scoring
-from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, full, quick
+from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, Config, full, quick
 from benchmarks.cross_rig.drives import small_rig
 from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames
 from benchmarks.cross_rig.report import sections
@@ -20,6 +20,8 @@ from tests.datasets import unidrive
 from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.yaml_writing import dump_rig
+from unidrive_cli.synth.options import SynthOptions
+from unidrive_cli.synth.run import make_synth_plan
 
 BOXES = np.array(
     [
@@ -50,6 +52,12 @@ def test_retention_counts_each_training_rig_alike() -> None:
 def test_the_spread_is_the_standard_deviation_of_a_sample() -> None:
     assert spread([0.5]) == "50.0"
     assert spread([0.4, 0.5, 0.6]) == "50.0 ± 10.0"
+
+
+@pytest.mark.parametrize("config", [quick(), full(), full(all_eight=True)])
+def test_every_rig_of_a_run_can_be_rendered(config: Config) -> None:
+    rigs = [small_rig(name) for name in dict.fromkeys((*config.train_rigs, *config.test_rigs))]
+    make_synth_plan(SynthOptions(), rigs, "rays")
 
 
 def test_boxes_survive_the_grid() -> None:

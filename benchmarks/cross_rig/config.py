@@ -10,8 +10,8 @@ TRAINED = ("6x60", "6x80a", "6x80b", "5x70+110")
 """The four training rigs of the paper's tables."""
 LENSES = {"6x60-at-70": 70.0, "6x60-at-80": 80.0}
 """6x60 with other lenses (degrees) and nothing else changed."""
-HEIGHTS = {"6x60-at-1.4m": 1.4, "6x60-at-1.8m": 1.8, "6x60-at-2.5m": 2.5}
-"""6x60, which stands at 1.6 m, at other heights (metres) and nothing else changed."""
+HEIGHTS = {"6x60-at-1.5m": 1.5, "6x60-at-1.8m": 1.8, "6x60-at-2.5m": 2.5}
+"""6x60, which stands at 1.6 m, at other heights (metres) and nothing else changed. The roof is at 1.45 m."""
 PICTURE = (320, 180)
 """Pixels of rendered and virtual pictures, twice the detector's."""
 SEEN = (160, 96)
