@@ -10,11 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from benchmarks.cross_rig import paper, scoring
+from benchmarks.cross_rig.__main__ import unpack
 from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, Config, full, quick
 from benchmarks.cross_rig.drives import small_rig
 from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames
 from benchmarks.cross_rig.report import sections
-from benchmarks.cross_rig.retention import Key, read_results, retention, spread
+from benchmarks.cross_rig.retention import Key, packed, read_results, retention, spread
 from benchmarks.cross_rig.targets import CELL_M, HALF_M, decode, encode, turned
 from tests.datasets import unidrive
 from tests.painted import nuscenes_like_cameras, write_painted
@@ -123,6 +124,8 @@ def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
         path.write_text(json.dumps({"mAP": figure, "NDS": 0.5, "AP": {"car": figure}}))
     results = read_results(tmp_path)
     assert list(results) == [Key("raw", "lift-splat", 1)]
+    unpack(tmp_path / "again", packed(tmp_path))
+    assert read_results(tmp_path / "again") == results
     text = "\n".join(sections(results))
     assert "| raw | lift-splat | 1 (1) | 60.0 | 42.9 | 71 % | 10.0 (6x60 on 4x95) | 50.0 | 100 % |" in text
     assert "| 6x60 | 10.0 | 20.0 | 30.0 | 40.0 | 50.0 | **60.0** | 70.0 | 80.0 |" in text

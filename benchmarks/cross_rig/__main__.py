@@ -1,9 +1,10 @@
 """Runs the benchmark, piece by piece; the same command continues.
 
-    python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight]
+    python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight] [--known FILE.json]
 
 FOLDER gets `data/` (rendered and converted drives), `weights/` and `results/`: one JSON file for each detector on
-each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there.
+each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there. FILE holds results
+that need not be measured again, as the report's `--json` writes them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -46,6 +48,15 @@ def say(text: str) -> None:
 
 def result_path(work: Path, training: Training, rig: str) -> Path:
     return work / "results" / training.name / f"{rig}.json"
+
+
+def unpack(work: Path, known: dict[str, dict[str, dict[str, Any]]]) -> None:
+    """Puts results (by training and rig) where those of a run are, beside those that are there."""
+    for name, by_rig in known.items():
+        for rig, document in by_rig.items():
+            path = work / "results" / name / f"{rig}.json"
+            if not path.is_file():
+                write_json(path, document)
 
 
 def learn_and_score(work: Path, config: Config, training: Training) -> str:
@@ -113,14 +124,15 @@ def conversions(data: Path, config: Config) -> list[tuple[Drive, Setting, str]]:
 
 
 def run(work: Path, config: Config, workers: int) -> None:
+    todo = [t for t in config.trainings if not all(result_path(work, t, rig).is_file() for rig in t.tested)]
+    config = replace(config, trainings=tuple(todo))
     data = work / "data"
     for drive in config.train:
         render(data, drive, config.train_rigs, workers)
         say(f"rendered {drive.name}")
     render(data, config.test, config.test_rigs, workers)
-    say("rendered test")
+    say(f"rendered {config.test.name}")
     in_processes((partial(convert_drive, data, *one) for one in conversions(data, config)), workers)
-    todo = [t for t in config.trainings if not all(result_path(work, t, rig).is_file() for rig in t.tested)]
     in_processes((partial(learn_and_score, work, config, training) for training in todo), workers)
 
 
@@ -130,9 +142,13 @@ def main() -> None:
     parser.add_argument("--work", type=Path)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--all-eight", action="store_true", help="train on all eight rigs, not on the paper's four")
+    parser.add_argument("--known", type=Path, metavar="FILE.json", help="results that are there already")
     chosen = parser.parse_args()
     config = quick() if chosen.size == "quick" else full(chosen.all_eight)
-    run(chosen.work or Path(f"cross-rig-{config.name}"), config, chosen.workers)
+    work = chosen.work or Path(f"cross-rig-{config.name}")
+    if chosen.known:
+        unpack(work, json.loads(chosen.known.read_text()))
+    run(work, config, chosen.workers)
 
 
 if __name__ == "__main__":

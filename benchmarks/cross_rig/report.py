@@ -1,11 +1,12 @@
 """Tables (Markdown) and the paper's figure, of what a run has so far.
 
-python -m benchmarks.cross_rig.report FOLDER [--figure FILE.png]
+python -m benchmarks.cross_rig.report FOLDER [--figure FILE.png] [--into PAGE.md] [--json FILE.json]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,7 +24,7 @@ from benchmarks.cross_rig.config import (
     VARIANTS,
     VARIANTS_TRAINED,
 )
-from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, read_results, retention, spread
+from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, packed, read_results, retention, spread
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 Results = Mapping[Key, Mapping[str, Mapping[str, Mapping[str, Any]]]]
@@ -228,7 +229,10 @@ def main() -> None:
     parser.add_argument(
         "--into", type=Path, help="put the tables between this page's marks instead of printing them"
     )
+    parser.add_argument("--json", type=Path, help="put all results into one file")
     chosen = parser.parse_args()
+    if chosen.json:
+        chosen.json.write_text(json.dumps(packed(chosen.work), indent=0) + "\n")
     results = read_results(chosen.work)
     text = "\n\n".join(sections(results))
     if chosen.into:

@@ -73,6 +73,15 @@ def read_results(work: Path) -> dict[Key, dict[str, dict[str, dict[str, Any]]]]:
     return found
 
 
+def packed(work: Path) -> dict[str, dict[str, Any]]:
+    """All result documents of a run, by training and test rig."""
+    root = work / "results"
+    found: dict[str, dict[str, Any]] = defaultdict(dict)
+    for path in sorted(root.glob("*/*/*/seed*/*.json")):
+        found[path.parent.relative_to(root).as_posix()][path.stem] = json.loads(path.read_text())
+    return found
+
+
 def matrix_of(documents: Mapping[str, Mapping[str, Mapping[str, Any]]], rigs: tuple[str, ...], what: str) -> Matrix:
     """One figure of the documents, for training rigs that were tested on all of some rigs."""
     return {
