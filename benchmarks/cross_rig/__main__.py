@@ -3,7 +3,7 @@
     python -m benchmarks.cross_rig quick|full [--work FOLDER] [--workers N] [--all-eight] [--known FILE.json]
 
 FOLDER gets `data/` (rendered and converted drives), `weights/` and `results/`: one JSON file for each detector on
-each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there. FILE holds results
+each rig. `python -m benchmarks.cross_rig.report FOLDER` makes tables and figures of what is there. FILE has results
 that need not be measured again, as the report's `--json` writes them.
 """
 
