@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import cv2
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import shapely
 
 from unidrive_cli.geometry import boxes as box_geometry
@@ -116,14 +117,17 @@ def _bounds_2d(sights: Sights, first: int, views: Sequence[tuple[Camera, Mask]])
     low, high = pixels.min(axis=1), pixels.max(axis=1)
     bounds = np.concatenate([low, high], axis=1)
     shows, full = np.zeros(len(bounds), dtype=bool), np.ones(len(bounds), dtype=bool)
+    cut_by_canvas: dict[tuple[int, int], list[npt.NDArray[np.intp]]] = {}
     for index, (camera, mask) in enumerate(views):
-        canvas = np.array([camera.lens.width_px, camera.lens.height_px])
+        canvas = camera.lens.width_px, camera.lens.height_px
         pairs = sights.of_camera(first + index)
         within = whole[pairs] & ((low[pairs] >= 0) & (high[pairs] <= canvas)).all(axis=1)
         within[within] = [_is_full(_covered(mask, *sides)) for sides in bounds[pairs][within].tolist()]
         shows[pairs] = full[pairs] = within
         beside = whole[pairs] & ((high[pairs] <= 0) | (low[pairs] >= canvas)).any(axis=1)
-        cut = pairs.start + np.flatnonzero(~(within | beside))
+        cut_by_canvas.setdefault(canvas, []).append(pairs.start + np.flatnonzero(~(within | beside)))
+    for canvas, cuts in cut_by_canvas.items():
+        cut = np.concatenate(cuts)
         if not len(cut):
             continue
         outlines = [
@@ -136,7 +140,7 @@ def _bounds_2d(sights: Sights, first: int, views: Sequence[tuple[Camera, Mask]])
         bounds[cut] = shapely.bounds(parts)
         areas = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
         for pair, part in zip(cut[areas], parts[areas], strict=True):
-            shows[pair] = _touches(mask, part, bounds[pair])
+            shows[pair] = _touches(views[sights.camera[pair] - first][1], part, bounds[pair])
     return bounds, shows, full
 
 

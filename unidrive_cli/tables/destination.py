@@ -80,8 +80,11 @@ class Destination:
         temporary = self.work / f"{path.name[:100]}.{uuid.uuid4().hex}.part"  # no two machines choose the same
         try:
             temporary.write_bytes(data)  # fails where the work folder is gone: a late worker adds nothing to DST
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.replace(path)
+            try:
+                temporary.replace(path)
+            except FileNotFoundError:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                temporary.replace(path)
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink()
