@@ -33,7 +33,7 @@ def start_server(modules: Sequence[str]) -> None:
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # one process per core
     try:
-        with _interrupts_held():
+        with interrupts_held():
             forkserver.ensure_running()
     finally:
         for name, value in before.items():
@@ -60,7 +60,7 @@ def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int
     try:
         while True:
             for item in islice(waiting, 2 * jobs - len(pending)):
-                with _interrupts_held():
+                with interrupts_held():
                     pending.add(executor.submit(work, item))
             if not pending:
                 break
@@ -79,6 +79,30 @@ def in_workers(work: Callable[[Item], Outcome], items: Iterable[Item], jobs: int
         executor.shutdown(wait=False, cancel_futures=True)
 
 
+@contextlib.contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits; processes started meanwhile never see it: this one ends them, without their tracebacks.
+
+    The mask is what they inherit. It does not keep the signal from other threads of this process, which hand it to
+    the main one: there the handlers wait too.
+    """
+    interrupts = {signal.SIGINT, signal.SIGTERM}
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in interrupts if is_main}
+    held: list[int] = []
+    signal.pthread_sigmask(signal.SIG_BLOCK, interrupts)
+    for number in handlers:
+        signal.signal(number, lambda seen, _: held.append(seen))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts)
+        for seen in held:
+            signal.raise_signal(seen)
+
+
 def _end_with_parent() -> None:
     """Ends this process as soon as its parent has ended: after kill -9 nobody else would tell it.
 
@@ -92,14 +116,3 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits; processes started meanwhile never see it: this one ends them, without their tracebacks."""
-    interrupts = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, interrupts)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts)
