@@ -10,12 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from benchmarks.cross_rig import paper, scoring
-from benchmarks.cross_rig.__main__ import unpack
 from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, Config, full, quick
 from benchmarks.cross_rig.drives import small_rig
 from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames
 from benchmarks.cross_rig.report import sections
 from benchmarks.cross_rig.retention import Key, packed, read_results, retention, spread
+from benchmarks.cross_rig.run import unpack
 from benchmarks.cross_rig.targets import CELL_M, HALF_M, decode, encode, turned
 from tests.datasets import unidrive
 from tests.painted import nuscenes_like_cameras, write_painted
