@@ -21,7 +21,19 @@ import pytest
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.splits import get_scenes_of_split
 
-from tests.datasets import SCRIPT, SMALL_RIG, VERSION, Row, Run, assert_consistent, rows, rows_of, tree, unidrive
+from tests.datasets import (
+    SCRIPT,
+    SMALL_RIG,
+    VERSION,
+    Row,
+    Run,
+    assert_consistent,
+    in_own_mounts,
+    rows,
+    rows_of,
+    tree,
+    unidrive,
+)
 from tests.evaluation import average_precisions
 from tests.painted import nuscenes_like_cameras, write_painted
 from unidrive_cli.tables import dataset as dataset_module
@@ -488,6 +500,16 @@ def test_links(fleet: Fleet, out: Path, link: str) -> None:
             if (root / row["filename"]).exists()
         )
         assert (path.samefile(source), path.is_symlink()) == (link != "copy", link == "symlink")
+
+
+def test_a_disk_that_is_too_small_is_said_before_the_start(fleet: Fleet, tmp_path: Path) -> None:
+    """No links lead from one disk to another, so the pictures would be copied."""
+    command = f"{SCRIPT} merge '{fleet.training}' '{fleet.validation}' --out disk/out"
+    run = in_own_mounts(f"mkdir disk && mount -t tmpfs -o size=8k tmpfs disk && {command}", tmp_path)
+    assert run.code == 4
+    assert "will take about" in run.said
+    run = in_own_mounts(f"mkdir -p disk && mount -t tmpfs -o size=64m tmpfs disk && {command}", tmp_path)
+    assert run.code == 0, run.stderr
 
 
 def test_datasets_of_links_are_merged(fleet: Fleet, default: Path, out: Path, tmp_path: Path) -> None:

@@ -30,6 +30,9 @@ def merge_command(
         "hardlink", "--link", help="How pictures and other files come into it; links share the datasets' data."
     ),
     verify: VerifyLevel = option("sample", "--verify", help="Decode a sample of the pictures at the end, or all."),
+    space_check: bool = option(
+        True, "--space-check/--no-space-check", help="Refuse to start where what is copied exceeds the free space."
+    ),
     dry_run: bool = option(False, "--dry-run", help="Say what would be done; write nothing."),
     force: bool = option(False, "--force", help="Replace an --out that holds another dataset of ours."),
     as_json: bool = JSON,
@@ -49,7 +52,7 @@ def merge_command(
         _say_plan(plan, dst, as_json)
         return
     with Progress("files", sys.stderr) as progress:
-        summary = merge(plan, dst, force=force, progress=progress)
+        summary = merge(plan, dst, force=force, space_check=space_check, progress=progress)
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:

@@ -30,9 +30,11 @@ from unidrive_cli.tables.destination import (
     begin,
     check_apart,
     check_destination,
+    check_space,
     finish,
     held,
     resolved_destination,
+    same_device,
     sweep,
     writing,
 )
@@ -72,13 +74,19 @@ class MergeSummary:
 
 
 def merge(
-    plan: MergePlan, destination_root: Path, *, force: bool = False, progress: Progress | None = None
+    plan: MergePlan,
+    destination_root: Path,
+    *,
+    force: bool = False,
+    space_check: bool = True,
+    progress: Progress | None = None,
 ) -> MergeSummary:
     """Makes one dataset of several, as planned; the same call continues what was stopped.
 
     Args:
         destination_root: DST; must not exist, be empty, or hold this very dataset.
         force: replace another dataset of ours.
+        space_check: refuse a disk on which the pictures that must be copied have no room.
 
     Raises:
         UsageError: DST inside one of the datasets, or it holds another dataset of ours.
@@ -97,6 +105,8 @@ def merge(
             summary = _read_summary(root)
             summary.verified = verify_dataset(root, plan.version, plan.digest, whole=plan.verify == "full")
             return summary
+        if space_check and not same:
+            check_space(Destination(root), _copied_bytes(plan, root))
         destination = begin(root, plan.identity, same=same, force=force)
         with writing(destination, "When that is mended, the same command continues."):
             summary = _merged(plan, destination, progress)
@@ -105,6 +115,15 @@ def merge(
             destination.write(RUN, _json(run | {"python": platform.python_version()}))
         finish(destination, keep_work=False)
     return summary
+
+
+def _copied_bytes(plan: MergePlan, root: Path) -> int:
+    """What the pictures take that cannot be linked."""
+    return sum(
+        part.source.made.picture_bytes
+        for part in plan.parts
+        if plan.link == "copy" or (plan.link == "hardlink" and not same_device(part.source.root, root))
+    )
 
 
 def _merged(plan: MergePlan, destination: Destination, progress: Progress | None) -> MergeSummary:
