@@ -131,7 +131,7 @@ def _main(seed: int, rigs: tuple[str, ...] = TRAINED) -> tuple[Training, ...]:
 
 
 def full(all_eight: bool = False) -> Config:
-    """`make cross-rig`; the headline first, then the other seed and the other detector for two rigs, then the rest."""
+    """`make cross-rig`; the headline first, then another seed and the other detector for two rigs, then the rest."""
     mixed = tuple(Training(setting, "lift-splat", TRAINED, 0, PAPER_RIGS) for setting in (RAW, OPTIMISED, COMMON))
     ablations = _matrix(VARIANTS, "lift-splat", VARIANTS_TRAINED, 0, PAPER_RIGS)
     others = tuple(rig for rig in PAPER_RIGS if rig not in TRAINED)
