@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from benchmarks.cross_rig import paper, scoring
-from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, Config, full, quick
-from benchmarks.cross_rig.drives import small_rig
-from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames
+from benchmarks.cross_rig.config import CLASSES, PAPER_RIGS, PICTURE, SEEN, STRIDE, VEILED, Config, full, quick
+from benchmarks.cross_rig.drives import coverage, small_rig
+from benchmarks.cross_rig.frames import DEPTHS_M, NO_DEPTH, Rig, read_frames, veil
 from benchmarks.cross_rig.report import sections
 from benchmarks.cross_rig.retention import Key, packed, read_results, retention, spread
 from benchmarks.cross_rig.run import unpack
@@ -94,6 +94,17 @@ def test_small_rigs_see_what_the_large_ones_see() -> None:
             assert (small.lens.width_px, small.lens.height_px) == PICTURE
             assert small.lens.hfov_deg == pytest.approx(large.lens.hfov_deg)
             np.testing.assert_array_equal(small.ego_from_cam, large.ego_from_cam)
+
+
+def test_veils_hide_what_a_rig_does_not_fill() -> None:
+    filled = coverage(VEILED)
+    shares = dict(zip(PAPER_RIGS, (one.mean() for one in filled), strict=True))
+    assert shares["6x60"] < 0.85 < shares["6x80a"]
+    assert min(shares.values()) > np.logical_and.reduce(filled).mean() > 0.6
+    veils = veil(filled[PAPER_RIGS.index("6x60")])
+    assert veils.shape == (6, 1, SEEN[1], SEEN[0])
+    assert veils.mean() == pytest.approx(shares["6x60"], abs=1e-4)
+    assert 0 == veils.min() < veils.max() == 1
 
 
 def test_rigs_of_the_ablations_differ_in_one_thing() -> None:

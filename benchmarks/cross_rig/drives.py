@@ -9,11 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.cross_rig.config import HEIGHTS, LENSES, PAPER_RIGS, PICTURE, RAW, Drive, Setting
 from unidrive_cli.convert.common import Common
 from unidrive_cli.convert.options import Options
 from unidrive_cli.convert.plan import make_plan
 from unidrive_cli.convert.run import convert
+from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.rig.gallery import load_gallery_rig
 from unidrive_cli.rig.model import Rig
@@ -21,6 +24,8 @@ from unidrive_cli.synth.options import SynthOptions
 from unidrive_cli.synth.run import PROVENANCE, make_synth_plan, synthesise
 from unidrive_cli.tables.dataset import open_dataset
 from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M
+from unidrive_cli.warp.common import common_masks
+from unidrive_cli.warp.remap import virtual_views
 
 
 def small_rig(name: str) -> Rig:
@@ -35,13 +40,21 @@ def small_rig(name: str) -> Rig:
     return replace(rig, name=name, cameras=tuple(cameras))
 
 
+def coverage(setting: Setting) -> tuple[Bool, ...]:
+    """What each of the paper's rigs fills of the virtual pictures: (C, H, W), cameras ordered by their names."""
+    virtual = small_rig(setting.virtual)
+    order = np.argsort(virtual.channels)
+    views = virtual_views(virtual, setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M, 0.0)
+    return tuple(np.stack(common_masks(views, [small_rig(rig)], 0.0).masks())[order] > 0 for rig in PAPER_RIGS)
+
+
 def rendered(folder: Path, drive: Drive, rig: str) -> Path:
     return folder / drive.name / rig
 
 
 def converted(folder: Path, drive: Drive, setting: Setting, rig: str) -> Path:
     """Where the pictures of a setting are; the rendered ones for `raw`."""
-    return folder / f"{drive.name}-{setting.name}" / rig if setting != RAW else rendered(folder, drive, rig)
+    return folder / f"{drive.name}-{setting.pictures}" / rig if setting != RAW else rendered(folder, drive, rig)
 
 
 def render(folder: Path, drive: Drive, rigs: tuple[str, ...], jobs: int) -> None:

@@ -110,6 +110,13 @@ def read_frames(root: Path) -> tuple[Rig, list[Frame]]:
     return rigs[0], frames
 
 
+def veil(filled: npt.NDArray[np.bool_]) -> Float32:
+    """(C, 1, H, W) from 0 to 1: what is left of each pixel that the detector sees where (C, H, W) is filled."""
+    small = [cv2.resize(mask.astype(np.float32), SEEN, interpolation=cv2.INTER_AREA) for mask in filled]
+    veils: Float32 = np.minimum(np.stack(small)[:, None], np.float32(1))
+    return veils
+
+
 def _pose(row: dict[str, Any]) -> npt.NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3, :3] = Quaternion(row["rotation"]).rotation_matrix

@@ -20,17 +20,19 @@ _NUMBERS_WEIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A rig and its frames."""
+    """A rig, its frames, and what may be drawn over them while a detector learns, one each time (C, 1, H, W)."""
 
     rig: Rig
     frames: Sequence[Frame]
+    veils: Sequence[Float32] = ()
 
 
 def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: float, seed: int) -> Detector:
     """A detector after so many batches; each batch is of one rig, rigs in turn.
 
     Depth, where it is learned, is also told by the lidar (as BEVDepth does). Augmented by flipped pictures and by
-    a turned or mirrored grid, calibration following. All this in all settings alike.
+    a turned or mirrored grid, calibration following. All this in all settings alike; where there are veils, one is
+    drawn over each frame.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -44,7 +46,10 @@ def train(kind: str, data: Sequence[Seen], iterations: int, batch: int, rate: fl
         chosen = [data[turn].frames[next(orders[turn])] for _ in range(batch)]
         turns = np.stack([_random_turn(rng) for _ in chosen])
         mirrored = torch.from_numpy(rng.random(batch) < 0.5)
-        pictures = torch.from_numpy(np.stack([frame.pictures for frame in chosen]))
+        shown = [frame.pictures for frame in chosen]
+        if veils := data[turn].veils:
+            shown = [(one * veils[rng.integers(len(veils))]).astype(np.uint8) for one in shown]
+        pictures = torch.from_numpy(np.stack(shown))
         targets = [
             encode(frame.classes, turned(frame.boxes, by), len(CLASSES))
             for frame, by in zip(chosen, turns, strict=True)

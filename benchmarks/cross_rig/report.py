@@ -23,6 +23,7 @@ from benchmarks.cross_rig.config import (
     TRAINED,
     VARIANTS,
     VARIANTS_TRAINED,
+    VEILED,
 )
 from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, packed, read_results, retention, spread
 
@@ -61,13 +62,16 @@ def headline(results: Results) -> str:
     """Retention by setting, beside the paper's."""
     rows = [paper_row("paper, raw", paper.RAW), paper_row("paper, unified", paper.UNIFIED)]
     for detector in ("lift-splat", "bilinear"):
-        rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in MAIN)
+        rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in (*MAIN, VEILED))
     return table(HEAD, [row for row in rows if row])
 
 
 def variants(results: Results) -> str:
     """Retention of what is varied, beside the main settings with the same training rigs and the same seed."""
-    rows = [retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, 1) for setting in (*MAIN[1:], *VARIANTS)]
+    rows = [
+        retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, 1)
+        for setting in (*MAIN[1:], VEILED, *VARIANTS)
+    ]
     return table(HEAD, [row for row in rows if row])
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.cross_rig.config import Config, Drive, Setting, Training
-from benchmarks.cross_rig.drives import convert_drive, converted, render
+from benchmarks.cross_rig.drives import convert_drive, converted, coverage, render
 
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -56,7 +56,7 @@ def learn_and_score(work: Path, config: Config, training: Training) -> str:
     import torch
 
     from benchmarks.cross_rig.detector import DETECTORS
-    from benchmarks.cross_rig.frames import read_frames
+    from benchmarks.cross_rig.frames import read_frames, veil
     from benchmarks.cross_rig.learning import Seen, find, train
     from benchmarks.cross_rig.scoring import score
 
@@ -70,9 +70,10 @@ def learn_and_score(work: Path, config: Config, training: Training) -> str:
         detector.eval()
     else:
         seen = []
+        veils = tuple(map(veil, coverage(training.setting))) if training.setting.veiled else ()
         for rig in training.rigs:
             pieces = [read_frames(converted(data, drive, training.setting, rig)) for drive in config.train]
-            seen.append(Seen(pieces[0][0], [frame for _, frames in pieces for frame in frames]))
+            seen.append(Seen(pieces[0][0], [frame for _, frames in pieces for frame in frames], veils))
         detector = train(
             training.detector, seen, config.iterations, config.batch, config.learning_rate, training.seed
         )
@@ -105,7 +106,7 @@ def in_processes(tasks: Iterable[Callable[[], str]], workers: int) -> None:
 def conversions(data: Path, config: Config) -> list[tuple[Drive, Setting, str]]:
     """What is still to be converted, in the order in which trainings need it."""
     needed = (
-        (drive, training.setting, rig)
+        (drive, replace(training.setting, name=training.setting.pictures, veiled=False), rig)
         for training in config.trainings
         for drives, rigs in ((config.train, training.rigs), ((config.test,), training.tested))
         for drive in drives
