@@ -232,7 +232,9 @@ def test_low_pictures_are_dropped_one_by_one(cars: dict[str, Path], alone: dict[
     )
     assert "6 pictures" in done.stdout
     assert "CAM_BACK 100%" in done.stdout
-    assert "samples may lack cameras" in (tmp_path / "dst" / "TRAINING.md").read_text()
+    training = (tmp_path / "dst" / "TRAINING.md").read_text()
+    assert "samples may lack cameras" in training
+    assert "`--common-with` each of these cars" in training
     before = pictures(alone[SIX], "CAM_BACK")
     assert pictures(tmp_path / "dst", "CAM_BACK") == {sample: before[sample] for sample in (1, 2)}
     assert pictures(tmp_path / "dst", "CAM_FRONT") == pictures(alone[SIX], "CAM_FRONT")

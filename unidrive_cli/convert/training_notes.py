@@ -68,7 +68,10 @@ def training_notes(plan: Plan) -> str:
 
 def _common(plan: Plan) -> list[str]:
     if plan.common is None or plan.common_masks is None:
-        return []
+        return [
+            "- Detectors learn where the black is. For one that is to work on other cars, convert all that it "
+            "learns from and is tested on with `--common-with` each of these cars (or a fleet file)."
+        ]
     shares = zip(plan.rig.channels, plan.common_masks.shares, strict=True)
     names = ", ".join(sorted(rig.name for rig in plan.common.rigs))
     return [
