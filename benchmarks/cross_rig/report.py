@@ -198,31 +198,36 @@ def sections(results: Results) -> Iterator[str]:
 
 
 def draw(results: Results, path: Path) -> None:
-    """The paper's figure: one heat map a setting; raw, intuitive, optimised, and optimised with common coverage."""
+    """The paper's figure: one heat map a setting; raw, intuitive, optimised, and optimised with common coverage or
+    veils, all with one scale."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, len(MAIN), figsize=(5.2 * len(MAIN), 3.6), layout="constrained")
-    for axis, setting in zip(axes, MAIN, strict=True):
+    grids: dict[str, dict[str, list[float]]] = {}
+    for setting in (*MAIN, VEILED):
         found = matrices(results, setting.name, "lift-splat")
         trained = [rig for rig in PAPER_RIGS if any(rig in matrix for matrix in found)]
-        grid = [
-            [mean(matrix[rig][test] for matrix in found if rig in matrix) * 100 for test in PAPER_RIGS]
-            for rig in trained
-        ]
-        if not grid:
-            continue
-        axis.imshow(grid, vmin=0, vmax=70, cmap="viridis", aspect="auto")
-        axis.set_title(setting.name)
+        if trained:
+            grids[setting.name] = {
+                rig: [mean(matrix[rig][test] for matrix in found if rig in matrix) * 100 for test in PAPER_RIGS]
+                for rig in trained
+            }
+    top = max(value for grid in grids.values() for row in grid.values() for value in row)
+    figure, axes = pyplot.subplots(
+        1, len(grids), figsize=(4.6 * len(grids), 3.2), layout="constrained", squeeze=False
+    )
+    for axis, (name, grid) in zip(axes[0], grids.items(), strict=True):
+        axis.imshow(list(grid.values()), vmin=0, vmax=top, cmap="viridis", aspect="auto")
+        axis.set_title(name)
         axis.set_xticks(range(len(PAPER_RIGS)), PAPER_RIGS, rotation=45, ha="right")
-        axis.set_yticks(range(len(trained)), trained)
+        axis.set_yticks(range(len(grid)), grid)
         axis.set_xlabel("tested on")
-        for y, row in enumerate(grid):
+        for y, row in enumerate(grid.values()):
             for x, value in enumerate(row):
-                axis.text(x, y, f"{value:.0f}", ha="center", va="center", color="w" if value < 45 else "k")
-    axes[0].set_ylabel("trained on")
+                axis.text(x, y, f"{value:.0f}", ha="center", va="center", color="w" if value < 0.7 * top else "k")
+    axes[0][0].set_ylabel("trained on (mAP)")
     figure.savefig(path, dpi=110)
 
 
