@@ -142,6 +142,21 @@ def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
     assert "| 6x60 | 10.0 | 20.0 | 30.0 | 40.0 | 50.0 | **60.0** | 70.0 | 80.0 |" in text
 
 
+def test_a_run_on_some_of_the_rigs_has_its_own_tables(tmp_path: Path) -> None:
+    for trained, figures in {"6x80a": (0.4, 0.2, 0.1), "6x60": (0.1, 0.3, 0.6)}.items():
+        for rig, figure in zip(("6x80a", "6x70", "6x60"), figures, strict=True):
+            path = tmp_path / "results" / "optimised" / "lift-splat" / trained / "seed0" / f"{rig}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps({"mAP": figure, "NDS": 0.5, "AP": {"car": figure}}))
+    text = "\n".join(sections(read_results(tmp_path)))
+    assert "| optimised | lift-splat | 1 (2) | 50.0 | 17.5 | 35 % | 10.0 (6x60 on 6x80a) | 50.0 | 100 % |" in text
+    assert (
+        "| trained on | 6x80a | 6x70 | 6x60 |\n| --- | --- | --- | --- |\n| 6x60 | 10.0 | 30.0 | **60.0** |" in text
+    )
+    assert "| car | 50.0 | 17.5 | 35% |" in text
+    assert "## Heights" not in text
+
+
 def test_the_truth_found_in_a_converted_dataset_scores_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

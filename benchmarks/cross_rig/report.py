@@ -40,6 +40,12 @@ def percent(figure: float) -> str:
     return f"{figure * 100:.1f}"
 
 
+def tested_rigs(results: Results) -> tuple[str, ...]:
+    """Those of the paper's that anything was tested on."""
+    tested = {rig for documents in results.values() for row in documents.values() for rig in row}
+    return tuple(rig for rig in PAPER_RIGS if rig in tested)
+
+
 def matrices(
     results: Results, setting: str, detector: str, what: str = "mAP", trained: tuple[str, ...] = PAPER_RIGS
 ) -> list[Matrix]:
@@ -47,7 +53,7 @@ def matrices(
     keys = sorted(
         (key for key in results if (key.setting, key.detector) == (setting, detector)), key=lambda k: k.seed
     )
-    whole = [matrix_of(results[key], PAPER_RIGS, what) for key in keys]
+    whole = [matrix_of(results[key], tested_rigs(results), what) for key in keys]
     found = [{rig: row for rig, row in matrix.items() if rig in trained} for matrix in whole]
     return [matrix for matrix in found if matrix]
 
@@ -137,11 +143,11 @@ def full_table(results: Results, setting: str, detector: str) -> str:
     rows = [
         [
             trained,
-            *(_cell(cells.get((trained, rig), []), rig in trained.split(",")) for rig in PAPER_RIGS),
+            *(_cell(cells.get((trained, rig), []), rig in trained.split(",")) for rig in tested_rigs(results)),
         ]
         for trained in trained_on
     ]
-    return table(["trained on", *PAPER_RIGS], rows)
+    return table(["trained on", *tested_rigs(results)], rows)
 
 
 def _cell(figures: list[float], own: bool) -> str:
@@ -180,7 +186,8 @@ def ablation(results: Results, tested: tuple[str, ...]) -> str:
                 if (key.setting, key.detector) == (setting.name, "lift-splat") and rig in documents.get("6x60", {})
             ]
             row.append(spread(figures) if figures else "-")
-        rows.append(row)
+        if any(cell != "-" for cell in row[2:]):
+            rows.append(row)
     return table(["setting", "6x60", *tested], rows)
 
 
@@ -189,12 +196,16 @@ def sections(results: Results) -> Iterator[str]:
     for detector in ("lift-splat", "bilinear"):
         for setting in dict.fromkeys(key.setting for key in results if key.detector == detector):
             yield f"## {setting}, {detector}: mAP\n\n{full_table(results, setting, detector)}"
-    for each in MAIN:
-        yield f"## {each.name}, lift-splat: AP by class\n\n{classes(results, each.name, 'lift-splat')}"
-    yield f"## Depth limit, blend, common coverage\n\n{variants(results)}"
-    yield f"## Four rigs at once\n\n{mixed(results)}"
-    yield f"## Lenses\n\n{ablation(results, tuple(LENSES))}"
-    yield f"## Heights\n\n{ablation(results, tuple(HEIGHTS))}"
+    others = (
+        *((f"{each.name}, lift-splat: AP by class", classes(results, each.name, "lift-splat")) for each in MAIN),
+        ("Depth limit, blend, common coverage", variants(results)),
+        ("Four rigs at once", mixed(results)),
+        ("Lenses", ablation(results, tuple(LENSES))),
+        ("Heights", ablation(results, tuple(HEIGHTS))),
+    )
+    for title, found in others:
+        if found.count("\n") > 1:
+            yield f"## {title}\n\n{found}"
 
 
 def draw(results: Results, path: Path) -> None:
@@ -205,13 +216,14 @@ def draw(results: Results, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    rigs = tested_rigs(results)
     grids: dict[str, dict[str, list[float]]] = {}
     for setting in (*MAIN, VEILED):
         found = matrices(results, setting.name, "lift-splat")
         trained = [rig for rig in PAPER_RIGS if any(rig in matrix for matrix in found)]
         if trained:
             grids[setting.name] = {
-                rig: [mean(matrix[rig][test] for matrix in found if rig in matrix) * 100 for test in PAPER_RIGS]
+                rig: [mean(matrix[rig][test] for matrix in found if rig in matrix) * 100 for test in rigs]
                 for rig in trained
             }
     top = max(value for grid in grids.values() for row in grid.values() for value in row)
@@ -221,7 +233,7 @@ def draw(results: Results, path: Path) -> None:
     for axis, (name, grid) in zip(axes[0], grids.items(), strict=True):
         axis.imshow(list(grid.values()), vmin=0, vmax=top, cmap="viridis", aspect="auto")
         axis.set_title(name)
-        axis.set_xticks(range(len(PAPER_RIGS)), PAPER_RIGS, rotation=45, ha="right")
+        axis.set_xticks(range(len(rigs)), rigs, rotation=45, ha="right")
         axis.set_yticks(range(len(grid)), grid)
         axis.set_xlabel("tested on")
         for y, row in enumerate(grid.values()):
