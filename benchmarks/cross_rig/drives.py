@@ -44,8 +44,12 @@ def coverage(setting: Setting) -> tuple[Bool, ...]:
     """What each of the paper's rigs fills of the virtual pictures: (C, H, W), cameras ordered by their names."""
     virtual = small_rig(setting.virtual)
     order = np.argsort(virtual.channels)
-    views = virtual_views(virtual, setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M, 0.0)
+    views = virtual_views(virtual, _depth_limit_m(setting, virtual), 0.0)
     return tuple(np.stack(common_masks(views, [small_rig(rig)], 0.0).masks())[order] > 0 for rig in PAPER_RIGS)
+
+
+def _depth_limit_m(setting: Setting, virtual: Rig) -> float:
+    return setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M
 
 
 def rendered(folder: Path, drive: Drive, rig: str) -> Path:
@@ -75,8 +79,7 @@ def convert_drive(folder: Path, drive: Drive, setting: Setting, rig: str) -> str
     """One dataset through one virtual rig, verified, in this process; says what was done."""
     done = converted(folder, drive, setting, rig)
     virtual = small_rig(setting.virtual)
-    depth_limit_m = setting.depth_limit_m or virtual.depth_limit_m or DEFAULT_DEPTH_LIMIT_M
-    options = Options(depth_limit_m=depth_limit_m, blend=setting.blend)  # type: ignore[arg-type]
+    options = Options(depth_limit_m=_depth_limit_m(setting, virtual), blend=setting.blend)  # type: ignore[arg-type]
     common = Common(tuple(map(small_rig, PAPER_RIGS)), sweep_m=0.0) if setting.common else None
     convert(make_plan(open_dataset(rendered(folder, drive, rig)), virtual, options, common), done)
     return f"converted {done.relative_to(folder)}"

@@ -65,11 +65,10 @@ class Key:
 
 def read_results(work: Path) -> dict[Key, dict[str, dict[str, dict[str, Any]]]]:
     """Result documents by key, training rig(s) and test rig."""
-    found: dict[Key, dict[str, dict[str, dict[str, Any]]]] = defaultdict(lambda: defaultdict(dict))
-    for path in sorted((work / "results").glob("*/*/*/seed*/*.json")):
-        setting, detector, trained, seed = path.parts[-5:-1]
-        key = Key(setting, detector, int(seed.removeprefix("seed")))
-        found[key][trained][path.stem] = json.loads(path.read_text())
+    found: dict[Key, dict[str, dict[str, dict[str, Any]]]] = defaultdict(dict)
+    for name, by_rig in packed(work).items():
+        setting, detector, trained, seed = name.split("/")
+        found[Key(setting, detector, int(seed.removeprefix("seed")))][trained] = by_rig
     return found
 
 

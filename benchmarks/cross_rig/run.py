@@ -38,15 +38,15 @@ def say(text: str) -> None:
     print(time.strftime("%H:%M:%S"), text, flush=True)
 
 
-def result_path(work: Path, training: Training, rig: str) -> Path:
-    return work / "results" / training.name / f"{rig}.json"
+def result_path(work: Path, training: str, rig: str) -> Path:
+    return work / "results" / training / f"{rig}.json"
 
 
 def unpack(work: Path, known: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Puts results (by training and rig) where those of a run are, beside those that are there."""
     for name, by_rig in known.items():
         for rig, document in by_rig.items():
-            path = work / "results" / name / f"{rig}.json"
+            path = result_path(work, name, rig)
             if not path.is_file():
                 write_json(path, document)
 
@@ -84,7 +84,7 @@ def learn_and_score(work: Path, config: Config, training: Training) -> str:
     trained_s = time.process_time() - started
     said = []
     for rig in training.tested:
-        result = result_path(work, training, rig)
+        result = result_path(work, training.name, rig)
         if result.is_file():
             continue
         root = converted(data, config.test, training.setting, rig)
@@ -117,7 +117,7 @@ def conversions(data: Path, config: Config) -> list[tuple[Drive, Setting, str]]:
 
 
 def run(work: Path, config: Config, workers: int) -> None:
-    todo = [t for t in config.trainings if not all(result_path(work, t, rig).is_file() for rig in t.tested)]
+    todo = [t for t in config.trainings if not all(result_path(work, t.name, rig).is_file() for rig in t.tested)]
     config = replace(config, trainings=tuple(todo))
     data = work / "data"
     for drive in config.train:
