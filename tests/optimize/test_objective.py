@@ -86,9 +86,10 @@ numbers = st.floats(-1, 1, allow_nan=False)
     st.floats(12, 120),
     st.floats(-0.3, 0.3),
     st.sampled_from([name for name in gallery_names() if name not in ("roof-6x70",)]),
+    st.booleans(),
 )
 def test_compiled_and_plain_agree(
-    draws: list[tuple[float, ...]], depth_limit_m: float, ground_m: float, name: str
+    draws: list[tuple[float, ...]], depth_limit_m: float, ground_m: float, name: str, common: bool
 ) -> None:
     pytest.importorskip("numba", reason="the extra `fast` is not installed")
     virtual = Rig(
@@ -106,7 +107,8 @@ def test_compiled_and_plain_agree(
             for index, draw in enumerate(draws)
         ),
     )
-    cars = [Car(load_gallery_rig(each), boxes_around(60, seed)) for seed, each in enumerate((name, "6x80b"))]
+    fleet = [load_gallery_rig(each) for each in (name, "6x80b")]
+    cars = [Car(rig, boxes_around(60, seed), fleet if common else ()) for seed, rig in enumerate(fleet)]
     compiled, plain = (
         Objective(cars, Penalties(worst=0.3), ground_m, compiled=way)(virtual, depth_limit_m)
         for way in (True, False)
@@ -116,6 +118,21 @@ def test_compiled_and_plain_agree(
         assert (one.corners, one.pairs) == (other.corners, other.pairs)
         for part in ("error_m_rad", "uncovered", "unfilled", "pair_sum_m_rad"):
             assert getattr(one, part) == pytest.approx(getattr(other, part), rel=1e-9, abs=1e-12)
+
+
+@both_ways
+def test_of_common_corners_only_those_count_that_every_car_sees(compiled: bool) -> None:
+    front, both = Rig("front", "", pair().cameras[:1]), pair()
+    corners = boxes_around(100)
+    ahead = (corners[..., 0] > 1.0) & (np.abs(corners[..., 1]) <= corners[..., 0] - 1.0)
+    car = Car(both, corners, [both, front])
+    assert car.count == Car(front, corners).count <= np.count_nonzero(ahead) < Car(both, corners).count
+    back = Rig("back", "", pair().cameras[1:])
+    with pytest.raises(UsageError, match="all cars together see none of the 100 boxes of pair"):
+        Car(both, corners, [front, back])
+    cost = Objective([car], Penalties(), 0.0, compiled=compiled)
+    assert cost(front, 50.0).rigs[0].uncovered == 0
+    assert cost(back, 50.0).rigs[0].uncovered == 1
 
 
 def test_sources_with_distortion_are_worked_out_without_the_kernel() -> None:

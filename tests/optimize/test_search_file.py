@@ -48,6 +48,8 @@ def test_a_whole_file(tmp_path: Path) -> None:
     assert found.space.mirror == {"CAM_FRONT_RIGHT": "CAM_FRONT_LEFT", "CAM_BACK_RIGHT": "CAM_BACK_LEFT"}
     assert found.penalties == Penalties(uncovered=3, unfilled=Penalties().unfilled, worst=0.5)
     assert (found.effort.evaluations, found.effort.population) == (500, 20)
+    assert not found.common
+    assert load(tmp_path, WHOLE + "corners: common\n").common
 
 
 def test_the_start_s_own_depth_limit_and_ground_count(tmp_path: Path) -> None:
@@ -86,6 +88,7 @@ MISTAKES = {
     "one bound": (WHOLE.replace("min: 15, ", ""), "free number 4: either min and max"),
     "within nothing": (WHOLE.replace("within: 20", "within: 0"), "within must be a positive number, got 0"),
     "a text as bound": (WHOLE.replace("min: 15", "min: low"), "min must be a finite number"),
+    "corners of another kind": (WHOLE + "corners: shared\n", "corners must be own or common, got 'shared'"),
     "no cameras": (WHOLE.replace("cameras: [CAM_FRONT_LEFT], ", ""), "the key cameras is missing"),
     "a camera that is not there": (
         WHOLE.replace("[CAM_FRONT_LEFT]", "[CAM_TOP]"),

@@ -49,6 +49,19 @@ def test_each_quantity_goes_where_it_belongs() -> None:
         assert numbers == pytest.approx(values if channel == LEFT else before[channel], abs=1e-9)
 
 
+def test_a_picture_s_height_is_cut_or_grows_about_the_middle() -> None:
+    free = (Parameter("height", (LEFT,), 400, 1000, 2), Parameter("hfov", (LEFT,), 50, 90, 1))
+    whole = space(*free, mirror=MIRROR)
+    assert whole.start_values.tolist() == pytest.approx([900, 70])
+    lenses = {camera.channel: camera.lens for camera in whole.rig([560.0, 70.0]).cameras}
+    before = load_gallery_rig("roof-6x70").cameras[0].pinhole
+    for channel in (LEFT, RIGHT):
+        lens = lenses[channel]
+        assert (lens.width_px, lens.height_px, lens.cy_px) == (1600, 560, 279.5)
+        assert lens.fx_px == lens.fy_px == pytest.approx(before.fx_px)
+    assert lenses["CAM_FRONT"] == before
+
+
 def test_a_mirror_image_follows_left_for_right() -> None:
     parameters = (
         Parameter("y", (LEFT,), 0, 1, 0.01),
@@ -123,6 +136,10 @@ def test_the_dust_of_a_grid_goes() -> None:
         ([Parameter("x", (LEFT,), 1, 2, -0.1)], "the step -0.1 does not fit"),
         ([Parameter("hfov", (LEFT,), 0, 90, 1)], "inside (0, 180) degrees, got 0 to 90"),
         ([Parameter("hfov", (LEFT,), -80, 20, 1, relative=True)], "got -10 to 90"),
+        ([Parameter("height", (LEFT,), 0, 900, 2)], "min and step must be even and positive, got 0 and 2"),
+        ([Parameter("height", (LEFT,), 400, 900, 0)], "must be even and positive, got 400 and 0"),
+        ([Parameter("height", (LEFT,), 401, 900, 2)], "must be even and positive, got 401 and 2"),
+        ([Parameter("height", (LEFT,), -5, 4, 2, relative=True)], "got 895 and 2"),
         ([Parameter("depth_limit", (), 0, 90, 1)], "must be a positive number of metres"),
         ([Parameter("depth_limit", (), -60, 60, 1, relative=True)], "must be a positive number of metres, got -10"),
         ([Parameter("x", (LEFT,), 2, 3, 0.1)], "roof-6x70 starts at 1.4, outside of the bounds 2 to 3"),

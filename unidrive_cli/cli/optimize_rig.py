@@ -64,7 +64,7 @@ def optimize_rig_command(
     effort = replace(
         plan.effort, seed=seed, evaluations=plan.effort.evaluations if evaluations is None else evaluations
     )
-    cars, notes = cars_of(sources, boxes, max_boxes, size_of_file)
+    cars, notes = cars_of(sources, boxes, max_boxes, size_of_file, common=plan.common)
     for note in notes:
         typer.echo(f"note: {note}", err=True)
     with Progress("candidates", sys.stderr) as progress:

@@ -13,6 +13,7 @@ from unidrive_cli.geometry import boxes
 from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.poses import relative
 from unidrive_cli.optimize.objective import Car
+from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.moments import reference_of
 from unidrive_cli.tables.rig_of_dataset import SizeOfFile, open_named, resolve_rig, rig_of_dataset
@@ -21,7 +22,12 @@ _SEED = 0
 
 
 def cars_of(
-    sources: Sequence[str], boxes_of: str | None, most_boxes: int, size_of_file: SizeOfFile | None = None
+    sources: Sequence[str],
+    boxes_of: str | None,
+    most_boxes: int,
+    size_of_file: SizeOfFile | None = None,
+    *,
+    common: bool = False,
 ) -> tuple[list[Car], list[str]]:
     """The cars that SRC arguments mean: datasets with boxes, or rigs that borrow those of `boxes_of`.
 
@@ -30,6 +36,7 @@ def cars_of(
         boxes_of: a dataset whose boxes stand in for those that a source lacks.
         most_boxes: where a dataset has more, so many of them, drawn at random, always the same ones.
         size_of_file: says the size of a dataset's pictures that have none in their table.
+        common: of all boxes, only corners that the cameras of every car see count.
 
     Returns:
         The cars, and notes.
@@ -43,7 +50,7 @@ def cars_of(
     borrowed = None if boxes_of is None else corners_of(open_named(Path(boxes_of)), most_boxes)
     if borrowed is not None and not len(borrowed):
         raise DatasetError("has no annotations, so there are no boxes to borrow.", where=str(boxes_of))
-    cars: list[Car] = []
+    seen: list[tuple[Rig, Float]] = []
     notes: list[str] = []
     for source in sources:
         own = None
@@ -58,10 +65,11 @@ def cars_of(
             if borrowed is None:
                 raise UsageError(f"{source} has no boxes.", hint="Give a dataset that has some with --boxes.")
             own = borrowed
-        if any(rig.digest == car.rig.digest for car in cars):
+        if any(rig.digest == other.digest for other, _ in seen):
             notes.append(f"{source} has the cameras of a source before it; it counts once more.")
-        cars.append(Car(rig, own))
-    return cars, notes
+        seen.append((rig, own))
+    fleet = [rig for rig, _ in seen] if common else []
+    return [Car(rig, own, fleet) for rig, own in seen], notes
 
 
 def corners_of(dataset: Dataset, most_boxes: int) -> Float:

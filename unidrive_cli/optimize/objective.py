@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from unidrive_cli.errors import UsageError
 from unidrive_cli.geometry.arrays import Float, lengths
 from unidrive_cli.geometry.blending import BORDER_FLOOR, PARALLAX_FLOOR
-from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Lens, Pinhole
+from unidrive_cli.geometry.lenses import PIXEL_TOLERANCE, Pinhole
 from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.geometry.projection_error import Sighting, point_errors, sight
 from unidrive_cli.rig.model import Rig
@@ -47,11 +47,11 @@ class RigCost:
 
     Attributes:
         name: of the car's rig.
-        error_m_rad: mean over the corners that the car's cameras see: of corners that virtual cameras see too,
-            the blended error, averaged over those cameras; 0 for the others.
+        error_m_rad: mean over the corners that count: of those that virtual cameras see too, the blended error,
+            averaged over those cameras; 0 for the others.
         uncovered: share of the corners that no virtual camera sees.
         unfilled: share of the virtual pixels that the car cannot fill.
-        corners: how many the car's cameras see.
+        corners: how many count: those that the car's cameras see, or that those of every car see.
         pair_sum_m_rad, pairs: the paper's bare sum (eq. 6) over (corner, source, virtual camera), and its terms.
     """
 
@@ -110,13 +110,14 @@ class Cost:
 
 
 class Car:
-    """A rig that is to share the virtual one, and the corners of boxes that its cameras see."""
+    """A rig that is to share the virtual one, and the corners of boxes that its cameras see, and that count."""
 
-    def __init__(self, rig: Rig, corners_ego: Float) -> None:
+    def __init__(self, rig: Rig, corners_ego: Float, fleet: Sequence[Rig] = ()) -> None:
         """
         Args:
             rig: the real cameras at their calibrated places.
             corners_ego: (b, 8, 3) corners of boxes in the ego frame, metres.
+            fleet: corners count only where these rigs see them too.
 
         Raises:
             UsageError: no boxes, or none that a camera sees.
@@ -126,28 +127,40 @@ class Car:
         if len(rig.cameras) > _MOST_SOURCES:
             raise UsageError(f"{rig.name} has {len(rig.cameras)} cameras; at most {_MOST_SOURCES} are accepted.")
         self.rig = rig
-        sources = [(camera.lens, inverse(camera.ego_from_cam)) for camera in rig.cameras]
-        seen_by = _seen_by(sources, corners_ego)
+        seen_by = _seen_by(rig, corners_ego)
+        if not seen_by.any():
+            raise UsageError(f"no camera of {rig.name} sees any of the {len(corners_ego)} boxes.")
+        for other in fleet:
+            seen_by[_seen_by(other, corners_ego) == 0] = 0
         kept = seen_by.any(axis=1)
         if not kept.any():
-            raise UsageError(f"no camera of {rig.name} sees any of the {len(corners_ego)} boxes.")
+            raise UsageError(f"all cars together see none of the {len(corners_ego)} boxes of {rig.name}.")
         corners_ego, self.seen_by = corners_ego[kept], seen_by[kept].reshape(-1)
         centre = corners_ego.mean(axis=1)
         self.boxes = np.column_stack([centre, lengths(corners_ego - centre[:, None]).max(axis=1)])
         self.points = np.ascontiguousarray(corners_ego.reshape(-1, 3))
-        self.count = int(np.count_nonzero(self.seen_by))
-        self.cam_from_ego = np.array([cam_from_ego for _, cam_from_ego in sources])
+        self.count = int(np.count_nonzero(self.seen_by))  # corners of kept boxes that do not count have no bits
+        self.cam_from_ego = np.array([inverse(camera.ego_from_cam) for camera in rig.cameras])
         pinholes = [camera.lens for camera in rig.cameras if isinstance(camera.lens, Pinhole)]
         self.all_pinholes = len(pinholes) == len(rig.cameras)
         self.packed_lenses, self.packed_normals = _packed(pinholes)
 
     @cached_property
     def sightings(self) -> list[Sighting]:
-        """What each camera sees, for the path without compiled code."""
-        return [
-            sight(self.points, camera.lens, cam_from_ego)
-            for camera, cam_from_ego in zip(self.rig.cameras, self.cam_from_ego, strict=True)
-        ]
+        """What each camera sees of the corners that count, for the path without compiled code."""
+        sightings = []
+        for camera, cam_from_ego in zip(self.rig.cameras, self.cam_from_ego, strict=True):
+            whole = sight(self.points, camera.lens, cam_from_ego)
+            counts = self.seen_by[whole.points] > 0
+            sightings.append(
+                replace(
+                    whole,
+                    points=whole.points[counts],
+                    directions_ego=whole.directions_ego[counts],
+                    border_sine=whole.border_sine[counts],
+                )
+            )
+        return sightings
 
 
 class Objective:
@@ -267,12 +280,13 @@ class _PackedViews:
         return source_from_view, centres
 
 
-def _seen_by(sources: Sequence[tuple[Lens, Float]], corners_ego: Float) -> npt.NDArray[np.uint64]:
-    """(b, 8) uint64: a bit for each source that sees the corner."""
+def _seen_by(rig: Rig, corners_ego: Float) -> npt.NDArray[np.uint64]:
+    """(b, 8) uint64: a bit for each camera that sees the corner."""
     bits = np.zeros(corners_ego.shape[:2], dtype=np.uint64)
     flat = bits.reshape(-1)
-    for index, (lens, cam_from_ego) in enumerate(sources):
-        flat[sight(corners_ego.reshape(-1, 3), lens, cam_from_ego).points] |= np.uint64(1 << index)
+    for index, camera in enumerate(rig.cameras):
+        seen = sight(corners_ego.reshape(-1, 3), camera.lens, inverse(camera.ego_from_cam))
+        flat[seen.points] |= np.uint64(1 << index)
     return bits
 
 

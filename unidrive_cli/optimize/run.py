@@ -136,6 +136,7 @@ def _identity(search_file: SearchFile, cars: Sequence[Car], effort: Effort) -> s
         [asdict(parameter) for parameter in space.parameters],
         dict(space.mirror),
         asdict(search_file.penalties),
+        search_file.common,
         [effort.seed, effort.population],
         [[car.rig.digest, hashlib.sha256(car.points.round(6).tobytes()).hexdigest()] for car in cars],
     ]
@@ -145,16 +146,17 @@ def _identity(search_file: SearchFile, cars: Sequence[Car], effort: Effort) -> s
 def _story(found: Found, search_file: SearchFile, effort: Effort) -> str:
     """How the rig was found, for the head of its file."""
     best, weights = found.best, search_file.penalties
+    corners = "common corners" if search_file.common else "corners"
     lines = [
         f"Found by `unidrive optimize-rig` (unidrive {__version__}) from {search_file.space.start.name}: "
         f"seed {effort.seed}, {best.evaluations} candidates in {best.generations} generations, "
         f"{best.restarts} restarts{', interrupted' if found.interrupted else ''}.",
         f"Objective {found.start.total:.4f} -> {found.cost.total:.4f} m rad: mean error "
-        f"{found.start.error_m_rad:.4f} -> {found.cost.error_m_rad:.4f}, corners uncovered "
+        f"{found.start.error_m_rad:.4f} -> {found.cost.error_m_rad:.4f}, {corners} uncovered "
         f"{found.start.uncovered:.2%} -> {found.cost.uncovered:.2%} (x {weights.uncovered:g}), pixels that some "
         f"car cannot fill {found.start.not_common:.2%} -> {found.cost.not_common:.2%} (x {weights.unfilled:g}), "
         f"worst car {found.start.worst.total(weights):.4f} -> {found.cost.worst.total(weights):.4f} "
         f"(x {weights.worst:g}).",
-        "Cars: " + ", ".join(f"{car.name} ({car.corners} corners)" for car in found.cost.rigs) + ".",
+        "Cars: " + ", ".join(f"{car.name} ({car.corners} {corners})" for car in found.cost.rigs) + ".",
     ]
     return "\n".join(lines)

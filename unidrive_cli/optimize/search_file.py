@@ -16,10 +16,11 @@ from unidrive_cli.rig.model import Rig
 from unidrive_cli.rig.yaml_reading import check_keys, error_at, number_of, parse_yaml, read_text, text_of
 from unidrive_cli.warp.choices import DEFAULT_DEPTH_LIMIT_M, DEFAULT_GROUND_HEIGHT_M
 
-_KEYS = ("name", "description", "start", "mirror", "free", "penalties", "evaluations", "population")
+_KEYS = ("name", "description", "start", "mirror", "free", "corners", "penalties", "evaluations", "population")
 _FREE_KEYS = ("of", "cameras", "share", "min", "max", "within", "step")
 _PENALTIES = ("uncovered", "unfilled", "worst")
 _ALL = "all"
+_OWN, _COMMON = "own", "common"
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,7 @@ class SearchFile:
     Attributes:
         name, description: of the rig that is found.
         space: the start and the free numbers.
+        common: whether only corners that every car sees count.
         penalties: weights of the objective.
         effort: evaluations and population; the seed is an option.
         ground_height_m: of the start rig, or the default.
@@ -37,6 +39,7 @@ class SearchFile:
     name: str
     description: str
     space: SearchSpace
+    common: bool
     penalties: Penalties
     effort: Effort
     ground_height_m: float
@@ -82,7 +85,9 @@ def load_search(path: Path, rig_named: Callable[[str], Rig]) -> SearchFile:
     ground = DEFAULT_GROUND_HEIGHT_M if start.ground_height_m is None else start.ground_height_m
     name = text_of(document, "name", where)
     description = text_of(document, "description", where) if "description" in document else ""
-    return SearchFile(name, description, space, _penalties(document, where), effort, ground)
+    return SearchFile(
+        name, description, space, _common(document, where), _penalties(document, where), effort, ground
+    )
 
 
 def _mirror(document: CommentedMap, where: str) -> dict[str, str]:
@@ -155,6 +160,13 @@ def _groups(entry: CommentedMap, start: Rig, mirror: dict[str, str], where: str)
     if not isinstance(share, bool):
         raise error_at(entry, "share", where, f"must be true or false, got {share!r:.60}.")
     return [tuple(channels)] if share else [(channel,) for channel in channels]
+
+
+def _common(document: CommentedMap, where: str) -> bool:
+    value = document.get("corners", _OWN)
+    if value not in (_OWN, _COMMON):
+        raise error_at(document, "corners", where, f"must be {_OWN} or {_COMMON}, got {value!r:.60}.")
+    return bool(value == _COMMON)
 
 
 def _penalties(document: CommentedMap, where: str) -> Penalties:

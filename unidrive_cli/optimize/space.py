@@ -16,12 +16,14 @@ from unidrive_cli.geometry.lenses import Pinhole
 from unidrive_cli.geometry.poses import pose, rotation_from_yaw_pitch_roll
 from unidrive_cli.rig.model import Camera, Rig
 
-Quantity = Literal["x", "y", "z", "yaw", "pitch", "roll", "hfov", "depth_limit"]
+Quantity = Literal["x", "y", "z", "yaw", "pitch", "roll", "hfov", "height", "depth_limit"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
-"""What may be free: metres for x, y, z and depth_limit, degrees for the others."""
+"""What may be free: metres for x, y, z and depth_limit, pixels for the picture's height, degrees for the others."""
 
 _MIRRORED = ("y", "yaw", "roll")
 """Change sign from a camera to its mirror image on the other side of the car."""
+_LENS = ("hfov", "height")
+"""What makes another lens: square pixels, the width of the start, the principal point in the middle."""
 _GRID_DIGITS = 9
 
 
@@ -95,7 +97,7 @@ class SearchSpace:
                 raise UsageError(f"{name}: {self.start.name} has no camera {channel}.")
             if channel in self.mirror:
                 raise UsageError(f"{name}: {channel} is a mirror image of {self.mirror[channel]}; free that one.")
-            if parameter.of == "hfov" and not _is_centred(self._cameras[channel].pinhole):
+            if parameter.of in _LENS and not _is_centred(self._cameras[channel].pinhole):
                 raise UsageError(
                     f"{name}: {channel} of {self.start.name} has intrinsics of its own, so its field of view "
                     "is no single number."
@@ -109,6 +111,11 @@ class SearchSpace:
         low, high = self.range_of(parameter)
         if parameter.of == "hfov" and not (low > 0 and high < 180):
             raise UsageError(f"{name}: a field of view lies inside (0, 180) degrees, got {low:g} to {high:g}.")
+        if parameter.of == "height" and not (low >= 2 and parameter.step and _are_even(low, parameter.step)):
+            raise UsageError(
+                f"{name}: a picture's height is an even number of pixels; min and step must be even and positive, "
+                f"got {low:g} and {parameter.step:g}."
+            )
         if parameter.of == "depth_limit" and low <= 0:
             raise UsageError(f"{name}: must be a positive number of metres, got {low:g}.")
         value = self._start_of(parameter)
@@ -136,7 +143,9 @@ class SearchSpace:
         camera = self._cameras[channel]
         yaw, pitch, roll = camera.yaw_pitch_roll_deg
         x, y, z = camera.centre_ego.tolist()
-        numbers = {"x": x, "y": y, "z": z, "yaw": yaw, "pitch": pitch, "roll": roll, "hfov": camera.lens.hfov_deg}
+        lens = camera.lens
+        numbers = {"x": x, "y": y, "z": z, "yaw": yaw, "pitch": pitch, "roll": roll, "hfov": lens.hfov_deg}
+        numbers["height"] = lens.height_px
         return {name: round(value, _GRID_DIGITS) for name, value in numbers.items()}
 
     def _start_of(self, parameter: Parameter) -> float:
@@ -173,13 +182,13 @@ class SearchSpace:
             for channel in parameter.cameras:
                 base = numbers[channel][parameter.of] if parameter.relative else 0.0
                 numbers[channel][parameter.of] = base + float(value)
-                changed.add((channel, parameter.of == "hfov"))
+                changed.add((channel, parameter.of in _LENS))
         cameras = []
         for channel, start in self._cameras.items():
             leader = self.mirror.get(channel, channel)
             own, lens = numbers[leader], self._cameras[leader].pinhole
             if (leader, True) in changed:
-                lens = Pinhole.from_hfov(own["hfov"], lens.width_px, lens.height_px)
+                lens = Pinhole.from_hfov(own["hfov"], lens.width_px, round(own["height"]))
             if leader != channel:
                 own = {key: -value if key in _MIRRORED else value for key, value in own.items()}
                 lens = dataclasses.replace(lens, cx_px=lens.width_px - 1 - lens.cx_px)
@@ -220,6 +229,10 @@ class SearchSpace:
             lows.append(low)
             highs.append(high)
         return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _are_even(*numbers: float) -> bool:
+    return all(number % 2 == 0 for number in numbers)
 
 
 def _is_centred(lens: Pinhole) -> bool:
