@@ -29,13 +29,14 @@ from unidrive_cli.warp.remap import virtual_views
 
 
 def small_rig(name: str) -> Rig:
-    """A shipped rig, or one of the ablations', with pictures of the benchmark's size."""
+    """A shipped rig, or one of the ablations', with pictures of the benchmark's width."""
     rig = load_gallery_rig(name.split("-at-")[0] if name in LENSES | HEIGHTS else name)
     cameras = []
     for camera in rig.cameras:
         pose = camera.ego_from_cam.copy()
         pose[2, 3] = HEIGHTS.get(name, pose[2, 3])
-        lens = Pinhole.from_hfov(LENSES.get(name, camera.lens.hfov_deg), *PICTURE)
+        height = round(PICTURE[0] * camera.lens.height_px / camera.lens.width_px)
+        lens = Pinhole.from_hfov(LENSES.get(name, camera.lens.hfov_deg), PICTURE[0], height)
         cameras.append(replace(camera, lens=lens, ego_from_cam=pose))
     return replace(rig, name=name, cameras=tuple(cameras))
 
