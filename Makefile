@@ -54,10 +54,12 @@ bench: install        ## CPU time of a sample against the codec alone
 chaos: install        ## kill 50 conversions with kill -9, resume each, compare the bytes
 	$(BIN)/python -m tests.chaos --kills 50
 
-optimise: install     ## find rigs/unidrive-optimised-6.yaml anew
+optimise: install     ## find rigs/unidrive-optimised-6.yaml and rigs/unidrive-fleet-6.yaml anew
 	$(BIN)/unidrive synth $(DEMO)/boxes --rig benchmarks/boxes-only.yaml --scenes 12 --keyframes 20 --seed 7
-	$(BIN)/unidrive optimize-rig $(PAPER_RIGS) --boxes $(DEMO)/boxes \
-		--search rigs/searches/unidrive-optimised-6.yaml --out rigs/unidrive-optimised-6.yaml --force
+	for rig in unidrive-optimised-6 unidrive-fleet-6; do \
+		$(BIN)/unidrive optimize-rig $(PAPER_RIGS) --boxes $(DEMO)/boxes \
+			--search rigs/searches/$$rig.yaml --out rigs/$$rig.yaml --force || exit; \
+	done
 
 $(VENV)-consumers/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-consumers

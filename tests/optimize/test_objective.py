@@ -135,6 +135,16 @@ def test_of_common_corners_only_those_count_that_every_car_sees(compiled: bool) 
     assert cost(back, 50.0).rigs[0].uncovered == 1
 
 
+def test_all_of_the_paper_s_cars_fill_the_fleet_s_rig() -> None:
+    names = ("4x95", "5x75", "6x80a", "6x80b", "6x70", "6x60", "8x50", "5x70+110")
+    rig = load_gallery_rig("unidrive-fleet-6")
+    assert rig.depth_limit_m is not None
+    cost = Objective(gallery_cars(*names), Penalties(), 0.0)(rig, rig.depth_limit_m)
+    assert cost.not_common < 0.02
+    wide = Objective(gallery_cars(*names), Penalties(), 0.0)(load_gallery_rig("intuitive-6"), 50.0)
+    assert wide.not_common > 0.3
+
+
 def test_sources_with_distortion_are_worked_out_without_the_kernel() -> None:
     rig = load_gallery_rig("6x60")
     barely = tuple(

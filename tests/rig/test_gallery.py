@@ -71,13 +71,20 @@ def level_pose(yaw: float, x: float, y: float, z: float) -> np.ndarray:
     return np.array([[s, 0, c, x], [-c, 0, s, y], [0, -1, 0, z], [0, 0, 0, 1]])
 
 
-def cameras_of(rig: Rig) -> dict:
-    assert all((camera.lens.width_px, camera.lens.height_px) == (1600, 900) for camera in rig.cameras)
+def cameras_of(rig: Rig, height_px: int = 900) -> dict:
+    assert all((camera.lens.width_px, camera.lens.height_px) == (1600, height_px) for camera in rig.cameras)
     return {camera.channel: camera for camera in rig.cameras}
 
 
 def test_the_gallery_is_complete() -> None:
-    ours = {"nuscenes-like", "roof-6x70", "unidrive-released-6x60", "intuitive-6", "unidrive-optimised-6"}
+    ours = {
+        "nuscenes-like",
+        "roof-6x70",
+        "unidrive-released-6x60",
+        "intuitive-6",
+        "unidrive-optimised-6",
+        "unidrive-fleet-6",
+    }
     assert set(gallery_names()) == {*PAPER, *ours}
 
 
@@ -88,9 +95,10 @@ def test_all_cameras_of_the_intuitive_rig_stand_at_the_centre_of_the_roof() -> N
         np.testing.assert_allclose(camera.centre_ego, [1.3, 0, 1.6])
 
 
-def test_the_optimised_rig_is_the_same_left_and_right() -> None:
-    rig = load_gallery_rig("unidrive-optimised-6")
-    cameras = cameras_of(rig)
+@pytest.mark.parametrize(("name", "height_px"), [("unidrive-optimised-6", 900), ("unidrive-fleet-6", 580)])
+def test_the_rigs_that_were_found_are_the_same_left_and_right(name: str, height_px: int) -> None:
+    rig = load_gallery_rig(name)
+    cameras = cameras_of(rig, height_px)
     assert rig.depth_limit_m is not None
     for left, right in (("CAM_FRONT_LEFT", "CAM_FRONT_RIGHT"), ("CAM_BACK_LEFT", "CAM_BACK_RIGHT")):
         one, other = cameras[left], cameras[right]
