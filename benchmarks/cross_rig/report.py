@@ -16,9 +16,11 @@ from typing import Any
 from benchmarks.cross_rig import paper
 from benchmarks.cross_rig.config import (
     CLASSES,
+    COMMON,
     HEIGHTS,
     LENSES,
     MAIN,
+    OPTIMISED,
     PAPER_RIGS,
     TRAINED,
     VARIANTS,
@@ -28,6 +30,7 @@ from benchmarks.cross_rig.config import (
 from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, packed, read_results, retention, spread
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
+SHOWN = (*MAIN, OPTIMISED, COMMON, VEILED)
 Results = Mapping[Key, Mapping[str, Mapping[str, Mapping[str, Any]]]]
 
 
@@ -69,7 +72,7 @@ def headline(results: Results) -> str:
     """Retention by setting, beside the paper's."""
     rows = [paper_row("paper, raw", paper.RAW), paper_row("paper, unified", paper.UNIFIED)]
     for detector in ("lift-splat", "bilinear"):
-        rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in (*MAIN, VEILED))
+        rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in SHOWN)
     return table(HEAD, [row for row in rows if row])
 
 
@@ -82,8 +85,7 @@ def seeds(results: Results) -> str:
 def variants(results: Results) -> str:
     """Retention of what is varied, beside the main settings with the same training rigs and the same seed."""
     rows = [
-        retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, 1)
-        for setting in (*MAIN[1:], VEILED, *VARIANTS)
+        retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, 1) for setting in (*SHOWN[1:], *VARIANTS)
     ]
     return table(HEAD, [row for row in rows if row])
 
@@ -113,7 +115,7 @@ def retained(
 def mixed(results: Results) -> str:
     """One detector for four rigs at once: mAP on these and on the four that it never saw."""
     rows = []
-    for setting in MAIN:
+    for setting in SHOWN:
         documents = results.get(Key(setting.name, "lift-splat", 0), {}).get(",".join(TRAINED), {})
         if all(rig in documents for rig in PAPER_RIGS):
             seen = mean(documents[rig]["mAP"] for rig in TRAINED)
@@ -184,7 +186,7 @@ def classes(results: Results, setting: str, detector: str) -> str:
 def ablation(results: Results, tested: tuple[str, ...]) -> str:
     """6x60's detectors on variants of 6x60, and on itself."""
     rows = []
-    for setting in MAIN:
+    for setting in SHOWN:
         row = [setting.name]
         for rig in ("6x60", *tested):
             figures = [
@@ -217,8 +219,7 @@ def sections(results: Results) -> Iterator[str]:
 
 
 def draw(results: Results, path: Path) -> None:
-    """The paper's figure: one heat map a setting; raw, intuitive, optimised, and optimised with common coverage or
-    veils, all with one scale."""
+    """The paper's figure: one heat map a main setting, all with one scale."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -226,7 +227,7 @@ def draw(results: Results, path: Path) -> None:
 
     rigs = tested_rigs(results)
     grids: dict[str, dict[str, list[float]]] = {}
-    for setting in (*MAIN, VEILED):
+    for setting in MAIN:
         found = matrices(results, setting.name, "lift-splat")
         trained = [rig for rig in PAPER_RIGS if any(rig in matrix for matrix in found)]
         if trained:
