@@ -122,7 +122,7 @@ def test_the_runs_hold_what_the_results_need() -> None:
     names = [training.name for training in config.trainings]
     assert len(set(names)) == len(names)
     main = [t for t in config.trainings if t.detector == "lift-splat" and len(t.rigs) == 1]
-    for setting in ("raw", "intuitive", "optimised", "optimised-common"):
+    for setting in ("raw", "intuitive", "fleet", "fleet-common"):
         assert len([t for t in main if t.setting.name == setting]) == 4 * 3  # training rigs, seeds
     assert len(full(all_eight=True).trainings) == len(names) + 4 * 4
     for each in (config, quick()):
@@ -146,13 +146,13 @@ def test_tables_are_made_of_what_is_there(tmp_path: Path) -> None:
 def test_a_run_on_some_of_the_rigs_has_its_own_tables(tmp_path: Path) -> None:
     for trained, figures in {"6x80a": (0.4, 0.2, 0.1), "6x60": (0.1, 0.3, 0.6)}.items():
         for rig, figure in zip(("6x80a", "6x70", "6x60"), figures, strict=True):
-            path = tmp_path / "results" / "optimised" / "lift-splat" / trained / "seed0" / f"{rig}.json"
+            path = tmp_path / "results" / "fleet" / "lift-splat" / trained / "seed0" / f"{rig}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps({"mAP": figure, "NDS": 0.5, "AP": {"car": figure}}))
-    alone = tmp_path / "results" / "optimised" / "lift-splat" / "6x60" / "seed1"
+    alone = tmp_path / "results" / "fleet" / "lift-splat" / "6x60" / "seed1"
     shutil.copytree(alone.with_name("seed0"), alone)  # a seed that is not through counts for its cells only
     text = "\n".join(sections(read_results(tmp_path)))
-    assert "| optimised | lift-splat | 1 (2) | 50.0 | 17.5 | 35 % | 10.0 (6x60 on 6x80a) | 50.0 | 100 % |" in text
+    assert "| fleet | lift-splat | 1 (2) | 50.0 | 17.5 | 35 % | 10.0 (6x60 on 6x80a) | 50.0 | 100 % |" in text
     assert "| trained on | 6x80a | 6x70 | 6x60 |" in text
     assert "| 6x60 | 10.0 ± 0.0 | 30.0 ± 0.0 | **60.0 ± 0.0** |" in text
     assert "| car | 53.3 | 18.3 | 34% |" in text
