@@ -31,6 +31,7 @@ from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, packed, read_
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 SHOWN = (*MAIN, OPTIMISED, COMMON, VEILED)
+"""What the tables compare; variants of it have a table of their own."""
 Results = Mapping[Key, Mapping[str, Mapping[str, Mapping[str, Any]]]]
 
 
@@ -73,12 +74,6 @@ def headline(results: Results) -> str:
     rows = [paper_row("paper, raw", paper.RAW), paper_row("paper, unified", paper.UNIFIED)]
     for detector in ("lift-splat", "bilinear"):
         rows.extend(retained(setting.name, detector, results, PAPER_RIGS, None) for setting in SHOWN)
-    return table(HEAD, [row for row in rows if row])
-
-
-def seeds(results: Results) -> str:
-    """Retention over the training rigs of the variants, of which there are more seeds first."""
-    rows = [retained(setting.name, "lift-splat", results, VARIANTS_TRAINED, None) for setting in MAIN]
     return table(HEAD, [row for row in rows if row])
 
 
@@ -207,7 +202,6 @@ def sections(results: Results) -> Iterator[str]:
             yield f"## {setting}, {detector}: mAP\n\n{full_table(results, setting, detector)}"
     others = (
         *((f"{each.name}, lift-splat: AP by class", classes(results, each.name, "lift-splat")) for each in MAIN),
-        (f"Seeds, trained on {' and '.join(VARIANTS_TRAINED)}", seeds(results)),
         ("Depth limit, blend, common coverage", variants(results)),
         ("Four rigs at once", mixed(results)),
         ("Lenses", ablation(results, tuple(LENSES))),

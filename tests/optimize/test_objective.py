@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.cross_rig.config import PAPER_RIGS
 from tests.optimize.fleet import boxes_around, gallery_cars, pair
 from unidrive_cli.errors import GeometryError, RigError, UsageError
 from unidrive_cli.geometry.lenses import Pinhole, lens_of
@@ -136,13 +137,12 @@ def test_of_common_corners_only_those_count_that_every_car_sees(compiled: bool) 
 
 
 def test_all_of_the_paper_s_cars_fill_the_fleet_s_rig() -> None:
-    names = ("4x95", "5x75", "6x80a", "6x80b", "6x70", "6x60", "8x50", "5x70+110")
+    cars = gallery_cars(*PAPER_RIGS)
     rig = load_gallery_rig("unidrive-fleet-6")
     assert rig.depth_limit_m is not None
-    cost = Objective(gallery_cars(*names), Penalties(), 0.0)(rig, rig.depth_limit_m)
-    assert cost.not_common < 0.02
-    wide = Objective(gallery_cars(*names), Penalties(), 0.0)(load_gallery_rig("intuitive-6"), 50.0)
-    assert wide.not_common > 0.3
+    objective = Objective(cars, Penalties(), 0.0)
+    assert objective(rig, rig.depth_limit_m).not_common < 0.02
+    assert objective(load_gallery_rig("intuitive-6"), 50.0).not_common > 0.3
 
 
 def test_sources_with_distortion_are_worked_out_without_the_kernel() -> None:
