@@ -90,7 +90,7 @@ def pictures_of_other_size(subject: Subject) -> Iterator[Broken]:
         return [(table.place(row, "filename"), what) for row in rows if (what := _picture_fault(subject, row))]
 
     rows = table.parts_at(np.flatnonzero(subject.of_cameras), _Picture)
-    yield from subject.look_at(rows, look)  # type: ignore[arg-type]  # SampleData has these fields too
+    yield from subject.look_at(rows, look)
 
 
 def _lack(subject: Subject, filename: str) -> str:

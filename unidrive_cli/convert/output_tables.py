@@ -22,7 +22,7 @@ from unidrive_cli.convert.visibility import VisibilityLevels
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.geometry.poses import quaternion_from_rotation
 from unidrive_cli.tables.extra import IMAGE_ANNOTATIONS
-from unidrive_cli.tables.schema import EgoPose, Quaternion, Row, Timestamp, Vector3
+from unidrive_cli.tables.schema import EgoPose, Quaternion, Timestamp, Vector3
 from unidrive_cli.tables.subset import mended_instances, mended_links, mended_scenes
 from unidrive_cli.tables.table import (
     EMPTY,
@@ -39,16 +39,17 @@ from unidrive_cli.tables.table import (
 from unidrive_cli.tables.tokens import derived_token
 
 _NUMBERS = operator.attrgetter("camera", "annotation", "left", "top", "right", "bottom")
-_TAKEN_OVER = ("prev", "next", "visibility_token")
+_TAKEN_OVER = frozenset(("prev", "next", "visibility_token"))
 """Fields of an annotation that may change and that its 2D boxes have too."""
 _LARGEST = (IMAGE_ANNOTATIONS, "sample_data", "sample_annotation", "ego_pose")
 """The tables that take longest, in this order."""
 _UNITS_A_RUN = 256
 
 
-class _Annotation(Row, frozen=True, gc=False):
+class _Annotation(msgspec.Struct, gc=False):
     """What a 2D box takes over of a sample_annotation row."""
 
+    token: str
     instance_token: str
     prev: str = ""
     next: str = ""
@@ -165,9 +166,14 @@ class OutputTables:
     def _shown(self) -> Float:
         """(n,) the share of every annotation that is shown; NaN where its sample leaves."""
         shown = np.full(len(self._dataset.sample_annotation.rows), np.nan)
-        for unit in self._units:
-            shown[self._dataset.annotation_indices(unit.sample.token)] = self._receipts[unit.sample.token].shown
+        for unit, indices in zip(self._units, self._annotations_of_units, strict=True):
+            shown[indices] = self._receipts[unit.token].shown
         return shown
+
+    @cached_property
+    def _annotations_of_units(self) -> list[Indices]:
+        """Where the annotations of each unit stand."""
+        return [self._dataset.annotation_indices(unit.sample.token) for unit in self._units]
 
     @cached_property
     def _lowered(self) -> dict[int, str | None]:
@@ -347,14 +353,14 @@ class OutputTables:
         are_changed[list(changes)] = True
         for start in range(0, len(self._units), _UNITS_A_RUN):
             units = self._units[start : start + _UNITS_A_RUN]
-            of_units = [self._dataset.annotation_indices(unit.sample.token) for unit in units]
+            of_units = self._annotations_of_units[start : start + _UNITS_A_RUN]
             first = itertools.accumulate(map(len, of_units), initial=0)
             indices = np.concatenate(of_units)
             rows = list(table.parts_at(indices, _Annotation))
-            for place in np.flatnonzero(are_changed[indices]).tolist():
-                fields = changes[int(indices[place])]
-                taken = {name: fields[name] for name in _TAKEN_OVER if name in fields}
-                rows[place] = msgspec.structs.replace(rows[place], **taken)
+            places = np.flatnonzero(are_changed[indices])
+            for place, index in zip(places.tolist(), indices[places].tolist(), strict=True):
+                for name in _TAKEN_OVER & changes[index].keys():
+                    setattr(rows[place], name, changes[index][name])
             stays = self.kept_annotations[indices].tolist()
             described = list(zip(rows, self._category_names[indices].tolist(), stays, strict=True))
             yield run_of(

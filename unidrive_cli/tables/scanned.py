@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import bisect
 import glob
 import hashlib
+import itertools
 import os
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -36,7 +38,7 @@ from unidrive_cli.tables.table import (
 )
 
 R = TypeVar("R", bound=Row)
-P = TypeVar("P", bound=Row)
+P = TypeVar("P", bound=msgspec.Struct)
 SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 """The tables that grow with the length of the recordings."""
 _PIECE_BYTES = 4 << 20
@@ -162,10 +164,10 @@ class ScannedTable(Table[R]):
     def rows_at(self, indices: Indices) -> Iterator[R]:
         return self._decoded(indices, TABLES[self.name])
 
-    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P]:
         return self._decoded(indices, part)
 
-    def _decoded(self, indices: Indices, row_type: type[Row]) -> Iterator[Any]:
+    def _decoded(self, indices: Indices, row_type: type[msgspec.Struct]) -> Iterator[Any]:
         decode = msgspec.json.Decoder(list[row_type]).decode  # type: ignore[valid-type]
         start = 0
         for run in self._file.runs(indices, {}):
@@ -177,7 +179,7 @@ class ScannedTable(Table[R]):
             yield from rows
             start += run.number
 
-    def _refuse_bad_row(self, indices: Indices, row_type: type[Row]) -> None:
+    def _refuse_bad_row(self, indices: Indices, row_type: type[msgspec.Struct]) -> None:
         for index, text in zip(indices.tolist(), self.raw_at(indices), strict=True):
             try:
                 msgspec.json.decode(text, type=row_type)
@@ -233,16 +235,20 @@ class _File:
         self._state = self._state_now()
         self._digest: Future[str] = Future()
         begins, ends = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        are_separated = [np.zeros(0, dtype=bool)]
         at = 0
         buffer = bytearray(_PIECE_BYTES)
         while size := self._stream.readinto(buffer):
             piece = memoryview(buffer)[:size]
             codes = np.frombuffer(piece, dtype=np.uint8)
             begins.append(np.flatnonzero(codes == ord("{")) + at)
-            ends.append(np.flatnonzero(codes == ord("}")) + at + 1)
+            ends_here = np.flatnonzero(codes == ord("}")) + 1
+            ends.append(ends_here + at)
+            are_separated.append(_are_separated(codes, ends_here))
             at += size
         self.size_bytes = at
         self._begins, self._ends = np.concatenate(begins), np.concatenate(ends)
+        self._are_separated = np.concatenate(are_separated)
         self.row_count = len(self._begins) if len(self._begins) == len(self._ends) else -1
 
     def hash(self) -> None:
@@ -273,9 +279,12 @@ class _File:
         Raises:
             DatasetError: the file is not as it was.
         """
-        for _, data, begins, ends in self._windows(indices):
-            for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-                yield data[begin:end]
+        begins, ends = self._begins[indices], self._ends[indices]
+        for start, stop in itertools.pairwise(_windows(begins)):
+            origin = int(begins[start])
+            data = self._read(origin, int(ends[stop - 1]))
+            for begin, end in zip(begins[start:stop].tolist(), ends[start:stop].tolist(), strict=True):
+                yield data[begin - origin : end - origin]
 
     def runs(self, indices: Indices, changes: Mapping[int, Mapping[str, Any]]) -> Iterator[Run]:
         """The rows as they are written, changed fields put in; what stands in the file just so is copied as it is.
@@ -283,42 +292,29 @@ class _File:
         Raises:
             DatasetError: the file is not as it was.
         """
+        begins, ends = self._begins[indices], self._ends[indices]
         are_changed = np.zeros(len(self._begins) if changes else 0, dtype=bool)
         are_changed[list(changes)] = True
-        for start, data, begins, ends in self._windows(indices):
-            rows = indices[start : start + len(begins)]
-            alone = are_changed[rows] if changes else np.zeros(len(rows), dtype=bool)
-            ends_here, codes = ends[:-1], np.frombuffer(data, dtype=np.uint8)
-            joined = (begins[1:] == ends_here + len(SEPARATOR)) & ~alone[1:] & ~alone[:-1]
-            for place, code in enumerate(SEPARATOR):
-                joined[joined] = codes[ends_here[joined] + place] == code
-            first = np.append(True, ~joined)
-            texts = [
-                changed(data[begin:end], changes[row]) if is_changed else data[begin:end]
-                for row, is_changed, begin, end in zip(
-                    rows[first].tolist(),
-                    alone[first].tolist(),
-                    begins[first].tolist(),
-                    ends[np.append(~joined, True)].tolist(),
-                    strict=True,
-                )
-            ]
-            yield Run(len(rows), SEPARATOR.join(texts))
-
-    def _windows(self, indices: Indices) -> Iterator[tuple[int, bytes, Indices, Indices]]:
-        """Rows that are read together: the place of the first, the bytes, where in them each begins and ends."""
-        begins, ends = self._begins[indices], self._ends[indices]
-        start = 0
-        while start < len(begins):
+        alone = are_changed[indices] if changes else np.zeros(len(indices), dtype=bool)
+        windows = _windows(begins)
+        # For all windows at once: beside other threads, NumPy waits for the interpreter after every long array.
+        are_first = np.ones(len(indices), dtype=bool)
+        are_first[1:] = ~self._are_separated[indices[:-1]] | (begins[1:] != ends[:-1] + len(SEPARATOR))
+        are_first[1:] |= alone[1:] | alone[:-1]
+        are_first[windows[:-1]] = True
+        first, last = np.flatnonzero(are_first), np.flatnonzero(np.append(are_first, True)[1:])
+        pieces = (indices[first], alone[first], begins[first], ends[last])
+        of_windows = itertools.pairwise(np.searchsorted(first, windows).tolist())
+        for (start, stop), (piece, next_piece) in zip(itertools.pairwise(windows), of_windows, strict=True):
             origin = int(begins[start])
-            stop = start + 1
-            if stop < len(begins) and 0 <= begins[stop] - origin < _PIECE_BYTES:
-                window = begins[start : start + _PIECE_ROWS]
-                far = np.flatnonzero((window - origin >= _PIECE_BYTES) | (np.diff(window, prepend=origin) < 0))
-                stop = start + (int(far[0]) if len(far) else len(window))
-            data = self._read(origin, int(ends[start:stop].max()))
-            yield start, data, begins[start:stop] - origin, ends[start:stop] - origin
-            start = stop
+            data = self._read(origin, int(ends[stop - 1]))
+            texts = []
+            for row, is_changed, begin, end in zip(
+                *(column[piece:next_piece].tolist() for column in pieces), strict=True
+            ):
+                text = data[begin - origin : end - origin]
+                texts.append(changed(text, changes[row]) if is_changed else text)
+            yield Run(stop - start, SEPARATOR.join(texts))
 
     def _read(self, begin: int, end: int) -> bytes:
         data = os.pread(self._stream.fileno(), end - begin, begin)
@@ -331,6 +327,24 @@ class _File:
     def _state_now(self) -> tuple[int, int]:
         status = os.fstat(self._stream.fileno())
         return status.st_size, status.st_mtime_ns
+
+
+def _windows(begins: Indices) -> list[int]:
+    """Where, among rows that begin at these bytes, those begin that are read together; and their number."""
+    windows = [0]
+    for turn in [*(np.flatnonzero(begins[1:] < begins[:-1]) + 1).tolist(), len(begins)]:
+        while (start := windows[-1]) < turn:
+            far = begins[start] + _PIECE_BYTES
+            windows.append(bisect.bisect_left(begins, far, start + 1, min(start + _PIECE_ROWS, turn)))
+    return windows
+
+
+def _are_separated(codes: npt.NDArray[np.uint8], ends: Indices) -> Bool:
+    """(n,) whether SEPARATOR stands in a piece of a file where its rows end."""
+    are_separated: Bool = ends + len(SEPARATOR) <= len(codes)
+    for place, code in enumerate(SEPARATOR):
+        are_separated[are_separated] = codes[ends[are_separated] + place] == code
+    return are_separated
 
 
 class _Store:
@@ -387,7 +401,9 @@ class _Store:
     def leading_out(self, name: str, field: str, kept: Bool) -> Indices:
         """The rows of a loaded table, of some, that point to another row than one of these."""
         links, inside = self._hashes(f"select {field} from {name}"), np.flatnonzero(kept)
-        tokens = _Tokens(self._tokens[name].hashes[inside])
+        tokens = self._tokens[name]
+        if len(inside) < len(kept):
+            tokens = _Tokens(tokens.hashes[inside])
         return inside[tokens.are_missing(_Hashes(links.values[inside], links.are_empty[inside]))]
 
     def rows_with_dangling(self, name: str, field: str, target: str | Sequence[str]) -> Indices:
@@ -461,6 +477,8 @@ class _Tokens:
 
     def places(self, wanted: _Hashes) -> Indices:
         """(n,) where the wanted tokens stand, EMPTY or NOWHERE."""
+        if np.array_equal(wanted.values, self.hashes) and not wanted.are_empty.any():
+            return np.arange(len(self.hashes))
         order = np.argsort(wanted.values) if self._are_many else np.arange(len(wanted.values))
         asked = wanted.values[order]
         found = np.searchsorted(self._ascending, asked)

@@ -25,7 +25,7 @@ from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.schema import TABLES, Row
 
 R = TypeVar("R", bound=Row)
-P = TypeVar("P", bound=Row)
+P = TypeVar("P", bound=msgspec.Struct)
 RawRow = bytes | msgspec.Raw
 
 
@@ -41,7 +41,9 @@ SEPARATOR = b",\n"
 Indices = npt.NDArray[np.int64]
 EMPTY, NOWHERE = -1, -2
 """In place of a row's index: the field is empty; the token is not in the table."""
+_TEXTS_OF_FIELDS = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _ROWS_A_WRITE = 4096
+_BUFFER_BYTES = 4 << 20
 _AGAIN = "Unpack or copy the table again."
 
 
@@ -124,8 +126,8 @@ class Table(ABC, Generic[R]):
         """The typed rows at these indices."""
 
     @abstractmethod
-    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
-        """The rows at these indices, of which only the fields of `part` are wanted."""
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P]:
+        """The fields of `part`, of the rows at these indices."""
 
     @abstractmethod
     def raw_at(self, indices: Indices) -> Iterator[RawRow]:
@@ -212,8 +214,8 @@ class ListedTable(Table[R]):
     def rows_at(self, indices: Indices) -> Iterator[R]:
         return (self.rows[index] for index in indices)
 
-    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P | R]:
-        return self.rows_at(indices)
+    def parts_at(self, indices: Indices, part: type[P]) -> Iterator[P]:
+        return map(msgspec.json.Decoder(part).decode, self.raw_at(indices))
 
     def raw_at(self, indices: Indices) -> Iterator[RawRow]:
         return (self.raw[index] for index in indices)
@@ -302,7 +304,7 @@ class RowsFile:
         self.count = 0
         self._path = path
         self._temporary = path.with_name(path.name + ".part")
-        self._stream = self._temporary.open("wb")
+        self._stream = self._temporary.open("wb", buffering=_BUFFER_BYTES)
         self._stream.write(b"[")
 
     def write(self, rows: RawRows) -> None:
@@ -365,8 +367,8 @@ def are_kept(kept: Bool, links: Indices) -> Bool:
 
 
 def changed(raw: RawRow, changes: Mapping[str, Any]) -> bytes:
-    """The row's JSON text with some fields replaced; all others keep their order and values."""
-    record: dict[str, Any] = msgspec.json.decode(raw)
+    """The row's JSON text with some fields replaced; all others keep their order and their text."""
+    record: dict[str, Any] = _TEXTS_OF_FIELDS.decode(raw)
     record.update(changes)
     return msgspec.json.encode(record)
 
