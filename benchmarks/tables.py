@@ -57,6 +57,7 @@ def stage(name: str, folder: Path, written: Path) -> dict[str, Any]:
         from unidrive_cli.tables.table import write_rows
 
         plan = planned(folder)
+        plan.digest  # noqa: B018 - a conversion has waited for it before it converts
         receipts = receipts_of(plan)
         started, began = time.perf_counter(), time.process_time()
         written.mkdir(parents=True)

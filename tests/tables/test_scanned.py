@@ -15,10 +15,11 @@ from tests.tables.small import VERSION, Tables, tables, write
 from unidrive_cli.check.references import check_references
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables import dataset as dataset_module
+from unidrive_cli.tables import scanned
 from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.scanned import SCANNED, ScannedTable, _File
 from unidrive_cli.tables.schema import Row
-from unidrive_cli.tables.table import EMPTY, NOWHERE, ListedTable, write_rows
+from unidrive_cli.tables.table import EMPTY, NOWHERE, ListedTable, read_table, write_rows
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +125,12 @@ def test_rows_that_lead_to_rows_that_leave(painted: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.usefixtures("scanning")
 @pytest.mark.parametrize("separator", [",\n", ", ", "\n,", " , ", ","])
-def test_rows_are_written_as_they_stand_but_for_their_changes(tmp_path: Path, separator: str) -> None:
+@pytest.mark.parametrize("piece", [{}, {"_PIECE_BYTES": 700}, {"_PIECE_ROWS": 2}], ids=str)
+def test_rows_are_written_as_they_stand_but_for_their_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, separator: str, piece: dict[str, int]
+) -> None:
+    for name, value in piece.items():
+        monkeypatch.setattr(scanned, name, value)
     made = tables()
     root = write(tmp_path, made)
     texts = [json.dumps(row, indent=1) for row in made["sample_data"]]
@@ -155,8 +161,9 @@ def test_only_some_fields_of_a_row(tmp_path: Path) -> None:
 
     root = write(tmp_path, tables())
     table = open_dataset(root).ego_pose
-    parts = list(table.parts_at(np.array([2, 0]), Place))
-    assert parts == [Place(row.token, row.translation) for row in (table.rows[2], table.rows[0])]
+    expected = [Place(row.token, row.translation) for row in (table.rows[2], table.rows[0])]
+    for either in (table, read_table(Path(table.file), "ego_pose")):
+        assert list(either.parts_at(np.array([2, 0]), Place)) == expected
     with pytest.raises(DatasetError, match=rf"row 2, token {table.rows[2].token}, field translation\[0\]"):
         list(table.parts_at(np.array([2, 0]), Wrong))
 

@@ -178,5 +178,5 @@ def test_written_tables_are_one_row_a_line_and_read_back(tmp_path: Path) -> None
 
 
 def test_changed_replaces_fields_and_keeps_the_others_in_order() -> None:
-    text = changed(b'{"token":"a","prev":"x","extra":{"b":1.5},"next":"y"}', {"prev": "", "next": "z"})
-    assert text == b'{"token":"a","prev":"","extra":{"b":1.5},"next":"z"}'
+    text = changed(b'{"token":"a","prev":"x","extra": {"b": 1.50e0 },"next":"y"}', {"prev": "", "next": "z"})
+    assert text == b'{"token":"a","prev":"","extra":{"b": 1.50e0 },"next":"z"}'
