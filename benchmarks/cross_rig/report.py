@@ -17,6 +17,8 @@ from benchmarks.cross_rig import paper
 from benchmarks.cross_rig.config import (
     CLASSES,
     COMMON,
+    FLAT,
+    FLAT_COMMON,
     HEIGHTS,
     LENSES,
     MAIN,
@@ -30,7 +32,7 @@ from benchmarks.cross_rig.config import (
 from benchmarks.cross_rig.retention import Key, Matrix, matrix_of, packed, read_results, retention, spread
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
-SHOWN = (*MAIN, OPTIMISED, COMMON, VEILED)
+SHOWN = (*MAIN, FLAT, FLAT_COMMON, OPTIMISED, COMMON, VEILED)
 """What the tables compare; variants of it have a table of their own."""
 Results = Mapping[Key, Mapping[str, Mapping[str, Mapping[str, Any]]]]
 
