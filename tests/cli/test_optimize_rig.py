@@ -44,6 +44,7 @@ def test_rigs_on_borrowed_boxes(drive: Path, search: Path, tmp_path: Path) -> No
     assert run.code == 0, run.stderr
     document = run.json()
     assert document["schema_version"] == 1
+    assert document["corners"] == "own"
     assert [rig["name"] for rig in document["found"]["by_rig"]] == ["4x95", "5x70+110"]
     assert document["found"]["objective"] < document["start"]["objective"]
     assert not document["interrupted"]
@@ -53,6 +54,19 @@ def test_rigs_on_borrowed_boxes(drive: Path, search: Path, tmp_path: Path) -> No
     for words in ("optimize-rig", "from intuitive-6: seed 0", "4x95 (", "5x70+110 ("):
         assert words in head
     assert unidrive("inspect-rig", out).code == 0
+
+
+def test_corners_that_all_cars_see(drive: Path, search: Path, tmp_path: Path) -> None:
+    search.write_text(f"{SEARCH}corners: common\n")
+    command = ("optimize-rig", "4x95", "6x60", "--boxes", drive, "--search", search, "--evaluations", 8)
+    run = unidrive(*command, "--out", tmp_path / "rig.yaml", "--json")
+    assert run.code == 0, run.stderr
+    document = run.json()
+    assert document["corners"] == "common"
+    corners = [rig["corners"] for rig in document["found"]["by_rig"]]
+    assert corners[0] == corners[1] > 0
+    said = unidrive(*command, "--out", tmp_path / "other.yaml")
+    assert "common corners that no virtual camera sees: " in said.stdout
 
 
 def test_a_dataset_brings_its_own_boxes(drive: Path, search: Path, tmp_path: Path) -> None:

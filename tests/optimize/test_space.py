@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,14 @@ def test_the_dust_of_a_grid_goes() -> None:
 def test_spaces_that_cannot_be(parameters: list[Parameter], words: str) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
         space(*parameters, mirror=MIRROR)
+
+
+def test_heights_of_several_cameras_stay_even() -> None:
+    cameras = list(load_gallery_rig("roof-6x70").cameras)
+    cameras[0] = replace(cameras[0], lens=Pinhole.from_hfov(70, 1600, 901))
+    start = replace(load_gallery_rig("roof-6x70"), cameras=tuple(cameras))
+    with pytest.raises(UsageError, match="must be even and positive, got 801 and 2"):
+        space(Parameter("height", (LEFT, "CAM_FRONT"), -100, 100, 2, relative=True), start=start)
 
 
 def test_a_lens_of_its_own_has_no_single_field_of_view() -> None:

@@ -74,16 +74,17 @@ def optimize_rig_command(
 
         found = optimise_rig(plan, cars, out, effort, jobs=jobs_of(jobs), resume=resume, force=force, told=told)
     if as_json:
-        typer.echo(json.dumps({"schema_version": SCHEMA_VERSION, "rig": str(out), **_document(found)}))
+        typer.echo(json.dumps({"schema_version": SCHEMA_VERSION, "rig": str(out), **_document(found, plan.common)}))
     else:
-        _say(found, out)
+        _say(found, out, plan.common)
     if found.interrupted:
         typer.echo(f"interrupted: {out} is the best so far; --resume continues ({log_of(out)}).", err=True)
         raise typer.Exit(INTERRUPTED)
 
 
-def _document(found: Found) -> dict[str, Any]:
+def _document(found: Found, common: bool) -> dict[str, Any]:
     return {
+        "corners": "common" if common else "own",
         "evaluations": found.best.evaluations,
         "generations": found.best.generations,
         "restarts": found.best.restarts,
@@ -106,8 +107,8 @@ def _cost_document(cost: Cost) -> dict[str, Any]:
     }
 
 
-def _say(found: Found, out: Path) -> None:
-    best = found.best
+def _say(found: Found, out: Path, common: bool) -> None:
+    best, corners = found.best, "common corners" if common else "corners"
     typer.echo(
         f"{out}: {plural(best.evaluations, 'candidate')}, {plural(best.generations, 'generation')}, "
         f"{plural(best.restarts, 'restart')}"
@@ -123,7 +124,7 @@ def _say(found: Found, out: Path) -> None:
     say_table(header, rows, left=1)
     for name, before, after in (
         ("mean error, m rad", found.start.error_m_rad, found.cost.error_m_rad),
-        ("corners that no virtual camera sees", found.start.uncovered, found.cost.uncovered),
+        (f"{corners} that no virtual camera sees", found.start.uncovered, found.cost.uncovered),
         ("pixels that some car cannot fill", found.start.not_common, found.cost.not_common),
         ("objective", found.start.total, found.cost.total),
     ):

@@ -111,11 +111,13 @@ class SearchSpace:
         low, high = self.range_of(parameter)
         if parameter.of == "hfov" and not (low > 0 and high < 180):
             raise UsageError(f"{name}: a field of view lies inside (0, 180) degrees, got {low:g} to {high:g}.")
-        if parameter.of == "height" and not (low >= 2 and parameter.step and _are_even(low, parameter.step)):
-            raise UsageError(
-                f"{name}: a picture's height is an even number of pixels; min and step must be even and positive, "
-                f"got {low:g} and {parameter.step:g}."
-            )
+        if parameter.of == "height":
+            for height in self._lowest(parameter):
+                if height < 2 or parameter.step <= 0 or height % 2 or parameter.step % 2:
+                    raise UsageError(
+                        f"{name}: a picture's height is an even number of pixels; min and step must be even and "
+                        f"positive, got {height:g} and {parameter.step:g}."
+                    )
         if parameter.of == "depth_limit" and low <= 0:
             raise UsageError(f"{name}: must be a positive number of metres, got {low:g}.")
         value = self._start_of(parameter)
@@ -127,13 +129,16 @@ class SearchSpace:
 
     def range_of(self, parameter: Parameter) -> tuple[float, float]:
         """The smallest and the largest value that the quantity itself can take in any of its cameras."""
+        lowest = self._lowest(parameter)
+        return min(lowest), max(lowest) + parameter.high - parameter.low
+
+    def _lowest(self, parameter: Parameter) -> list[float]:
+        """The smallest value that the quantity itself can take in each camera."""
         if not parameter.relative:
-            return parameter.low, parameter.high
+            return [parameter.low]
         if parameter.of == "depth_limit":
-            starts = [self.start_depth_limit_m]
-        else:
-            starts = [self._start_numbers(channel)[parameter.of] for channel in parameter.cameras]
-        return min(starts) + parameter.low, max(starts) + parameter.high
+            return [self.start_depth_limit_m + parameter.low]
+        return [self._start_numbers(channel)[parameter.of] + parameter.low for channel in parameter.cameras]
 
     @cached_property
     def _cameras(self) -> dict[str, Camera]:
@@ -229,10 +234,6 @@ class SearchSpace:
             lows.append(low)
             highs.append(high)
         return np.min(lows, axis=0), np.max(highs, axis=0)
-
-
-def _are_even(*numbers: float) -> bool:
-    return all(number % 2 == 0 for number in numbers)
 
 
 def _is_centred(lens: Pinhole) -> bool:
