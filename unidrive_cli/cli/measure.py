@@ -12,32 +12,22 @@ import typer
 
 from unidrive_cli.cli.progress import Progress
 from unidrive_cli.cli.shared import (
-    ANTI_ALIAS,
-    BLEND,
-    CAMERAS,
     CONFIG,
     DEBUG,
-    DEPTH_LIMIT,
-    EGO_MOTION,
-    EXPOSURE,
-    GROUND_HEIGHT,
     JOBS,
     JSON,
-    LAYOUT,
-    LENSES,
     RIG_HELP,
-    SCENES,
-    VERSION,
+    SourceOptions,
+    WarpOptions,
+    grouped,
     guarded,
     jobs_of,
     option,
     plural,
     say_layout,
     say_table,
-    warp_choices,
 )
 from unidrive_cli.errors import OutputError, UnidriveError, UsageError
-from unidrive_cli.warp.choices import Blend, ExposureChoice
 
 if TYPE_CHECKING:
     from unidrive_cli.measure.fidelity import Tally
@@ -49,11 +39,13 @@ _NAME_WIDTH = 34
 
 
 @guarded
+@grouped
 def measure_command(
     context: typer.Context,
     datasets: list[Path] = typer.Argument(
         ..., metavar="SRC...", help="With --rig the datasets to measure; else one that convert has written."
     ),
+    *,
     rig: str | None = option(None, "--rig", help=RIG_HELP, show_default=False),
     truth: Path | None = option(
         None,
@@ -64,17 +56,8 @@ def measure_command(
     source: Path | None = option(
         None, "--source", help="The dataset that CONVERTED was made from; seams need it.", show_default=False
     ),
-    version: str | None = VERSION,
-    layout: str | None = LAYOUT,
-    scene: list[str] = SCENES,
-    camera: list[str] = CAMERAS,
-    lenses: Path | None = LENSES,
-    depth_limit: float | None = DEPTH_LIMIT,
-    ground_height: float | None = GROUND_HEIGHT,
-    blend: Blend = BLEND,
-    ego_motion: bool = EGO_MOTION,
-    anti_alias: bool = ANTI_ALIAS,
-    exposure: ExposureChoice = EXPOSURE,
+    selection: SourceOptions,
+    warp: WarpOptions,
     png: Path | None = option(
         None, "--png", help="Draw the projection error there: from above, and by distance.", show_default=False
     ),
@@ -104,16 +87,16 @@ def measure_command(
                 hint="Give --rig RIG for the projection error of SRC, or --truth TRUTH for a converted dataset.",
             )
         _refuse_choices(context)
-        if lenses is not None and source is None:
+        if selection.lenses is not None and source is None:
             raise UsageError("--lenses are SRC's: without --rig they go with --source.")
     elif source is not None:
         raise UsageError("--source belongs to a converted dataset; with --rig the source is SRC itself.")
     elif truth is None and (given := _on_the_command_line(context) & {"blend", "anti_alias", "exposure"}):
         name = min(given).replace("_", "-")
         raise UsageError(f"--{name} goes with --truth; the projection error is that of the angular blend.")
-    if lenses is not None and len(datasets) > 1:
+    if selection.lenses is not None and len(datasets) > 1:
         raise UsageError(f"--lenses are those of one dataset; {len(datasets)} are given.")
-    of_source = None if lenses is None else read_lenses(lenses)
+    of_source = None if selection.lenses is None else read_lenses(selection.lenses)
     compared: TruthReport | None = None
     projected: ProjectionReport | None = None
     notes: list[str] = []
@@ -121,22 +104,22 @@ def measure_command(
     if rig is None and truth is not None:
         with Progress("samples", sys.stderr) as progress:
             compared = measure_converted(
-                open_dataset(datasets[0], version),
+                open_dataset(datasets[0], selection.version),
                 open_named(truth),
                 source=None if source is None else open_named(source, lenses=of_source),
-                scenes=tuple(scene),
+                scenes=tuple(selection.scene),
                 jobs=workers,
                 progress=progress,
             )
     if rig is not None:
         fleet, notes = resolve_fleet(rig, size_of_file)
         virtual_rig = fleet.virtual
-        choices = warp_choices(virtual_rig, depth_limit, ground_height, blend, ego_motion, anti_alias, exposure)
+        choices = warp.choices(virtual_rig)
         alone = len(datasets) == 1
         open_one = open_dataset if alone else open_named
-        opened = [open_one(one, version, layout=layout, lenses=of_source) for one in datasets]
+        opened = [open_one(one, selection.version, layout=selection.layout, lenses=of_source) for one in datasets]
         for dataset in opened:
-            say_layout(dataset.layout, dataset.folder, layout)
+            say_layout(dataset.layout, dataset.folder, selection.layout)
         if truth is not None:
             with Progress("samples", sys.stderr) as progress:
                 compared = measure_rendered(
@@ -144,15 +127,21 @@ def measure_command(
                     virtual_rig,
                     choices,
                     open_named(truth),
-                    scenes=tuple(scene),
-                    cameras=tuple(camera),
+                    scenes=tuple(selection.scene),
+                    cameras=tuple(selection.camera),
                     jobs=workers,
                     progress=progress,
                 )
         try:
             with Progress("samples", sys.stderr) as progress:
                 projected = measure_projection(
-                    opened, virtual_rig, choices, scenes=scene, cameras=camera, jobs=workers, progress=progress
+                    opened,
+                    virtual_rig,
+                    choices,
+                    scenes=selection.scene,
+                    cameras=selection.camera,
+                    jobs=workers,
+                    progress=progress,
                 )
         except UnidriveError as error:
             if compared is None or png is not None:

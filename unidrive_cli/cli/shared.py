@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 import shlex
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -55,6 +57,32 @@ def guarded(command: Command) -> Command:
             sentence = f"unexpected {type(error).__name__}: {error}. This is a bug; --debug shows where it happened."
             _fail(sentence, 1, debug=kwargs.get("debug", False))
 
+    return run  # type: ignore[return-value]
+
+
+def grouped(command: Command) -> Command:
+    """Lets a command take groups of options: of a parameter whose type is a dataclass each field is an option."""
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, type] = {}
+    hints = get_type_hints(command)
+    for name, parameter in inspect.signature(command).parameters.items():
+        if not is_dataclass(hints[name]):
+            parameters.append(parameter.replace(annotation=hints[name]))
+            continue
+        groups[name], of_fields = hints[name], get_type_hints(hints[name])
+        parameters += [
+            parameter.replace(name=field.name, default=field.default, annotation=of_fields[field.name])
+            for field in fields(hints[name])
+        ]
+
+    @functools.wraps(command)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which inspect looks for
     return run  # type: ignore[return-value]
 
 
@@ -134,14 +162,6 @@ LAYOUT = option(
     show_default=False,
 )
 SCENES = option([], "--scene", help="Only this scene (repeatable).", show_default=False)
-SPLITS = option(
-    [],
-    "--split",
-    help="Only scenes of this split: nuScenes' own, or in splits.json (repeatable).",
-    show_default=False,
-)
-MAX_SAMPLES = option(None, "--max-samples", help="Only the first N samples, by scene and time.")
-CAMERAS = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
 LENSES = option(
     None,
     "--lenses",
@@ -149,9 +169,6 @@ LENSES = option(
     show_default=False,
 )
 RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, a dataset folder, or a fleet file."
-COMMON_WITH = option(
-    [], "--common-with", help="Blacken what this rig or dataset cannot fill (repeatable).", show_default=False
-)
 COMMON_SWEEP = option(
     None,
     "--common-sweep",
@@ -163,48 +180,61 @@ DEPTH_LIMIT = option(
 GROUND_HEIGHT = option(
     None, "--ground-height", help="Height in metres of the ground in the ego frame (default: the rig's, or 0)."
 )
-BLEND = option("angular", "--blend", help="How overlapping source pictures are joined.")
-EGO_MOTION = option(
-    True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
-)
-ANTI_ALIAS = option(
-    True,
-    "--anti-alias/--no-anti-alias",
-    help="Sample sources that are shrunk by more than 1.95 from reduced copies.",
-)
-EXPOSURE = option("none", "--exposure", help="Even out the brightness of neighbouring source pictures by gains.")
-SOURCE_MASK = option(
-    None,
-    "--source-mask",
-    help="Folder with a <CHANNEL>.png per source camera: pixels that are not 0 show the own car and are not used.",
-    show_default=False,
-)
 JOBS = option(
     None, "--jobs", "-j", help="Samples worked on at once; 0 works in this process alone (default: one per core)."
 )
 
 
-def warp_choices(
-    rig: Rig,
-    depth_limit_m: float | None,
-    ground_height_m: float | None,
-    blend: Blend,
-    ego_motion: bool,
-    anti_alias: bool = True,
-    exposure: ExposureChoice = "none",
-) -> WarpChoices:
-    """The options of the warp; where one is not given the rig's own value counts, then the default."""
+@dataclass(frozen=True)
+class SourceOptions:
+    """Which dataset, and what of it."""
+
+    version: str | None = VERSION
+    layout: str | None = LAYOUT
+    scene: list[str] = SCENES
+    camera: list[str] = option([], "--camera", help="Use only this source camera (repeatable).", show_default=False)
+    lenses: Path | None = LENSES
+
+
+@dataclass(frozen=True)
+class WarpOptions:
+    """How pictures are warped."""
+
+    depth_limit: float | None = DEPTH_LIMIT
+    ground_height: float | None = GROUND_HEIGHT
+    blend: Blend = option("angular", "--blend", help="How overlapping source pictures are joined.")
+    ego_motion: bool = option(
+        True, "--ego-motion/--no-ego-motion", help="Compensate the car's motion between the cameras' moments."
+    )
+    anti_alias: bool = option(
+        True,
+        "--anti-alias/--no-anti-alias",
+        help="Sample sources that are shrunk by more than 1.95 from reduced copies.",
+    )
+    exposure: ExposureChoice = option(
+        "none", "--exposure", help="Even out the brightness of neighbouring source pictures by gains."
+    )
+
+    def choices(self, rig: Rig) -> WarpChoices:
+        """What was chosen; where an option is not given the rig's own value counts, then the default."""
+        return WarpChoices(
+            *depth_and_ground_m(rig, self.depth_limit, self.ground_height),
+            self.blend,
+            self.ego_motion,
+            self.anti_alias,
+            self.exposure,
+        )
+
+
+def depth_and_ground_m(rig: Rig, depth_limit_m: float | None, ground_height_m: float | None) -> tuple[float, float]:
+    """D0 and the ground's height; where an option is not given the rig's own value counts, then the default."""
 
     def first(*values: float | None) -> float:
         return next(value for value in values if value is not None)
 
-    return WarpChoices(
+    return (
         first(depth_limit_m, rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
         first(ground_height_m, rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
-        blend,
-        ego_motion,
-        anti_alias,
-        exposure,
     )
 
 
