@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 
-UNIDRIVE = "import sys; sys.argv[0] = 'unidrive'; from unidrive_cli.cli.main import run; run()"
+UNIDRIVE = "import sys; sys.argv[0] = 'unidrive'; from unidrive_cli.__main__ import main; main()"
 COMMANDS = {
     "python -c pass": ("pass",),
     "unidrive --help": (UNIDRIVE, "--help"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import signal
+import threading
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -78,6 +79,19 @@ def test_a_cluster_that_loses_all_workers_is_given_up(bare: Cluster, monkeypatch
     os.killpg(worker.pid, signal.SIGKILL)
     with pytest.raises(UnidriveError, match=r"no worker for 5 seconds\. Start workers again\. The same command"):
         list(outcomes)
+
+
+def test_an_end_does_not_wait_for_what_another_thread_took_meanwhile(
+    bare: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seen once: the queue was not empty, then it was, and the end waited for ever."""
+    with distributed.Client(bare.address, set_as_default=False) as client:
+        backend = room._Backend(client=client)
+        monkeypatch.setattr(backend.waiting_futures.queue, "empty", lambda: False)
+        ending = threading.Thread(target=backend.abort_everything, daemon=True)
+        ending.start()
+        ending.join(20)
+        assert not ending.is_alive()
 
 
 def test_a_scheduler_that_dies_ends_the_work(bare: Cluster) -> None:

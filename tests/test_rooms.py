@@ -35,6 +35,7 @@ MAY_IMPORT = {  # besides errors and the room itself
     "machine": "workers cluster geometry rig tables check warp convert synth",
     "cli": "workers cluster geometry rig tables check warp convert merge measure optimize synth report machine",
 }
+MAY_IMPORT["__main__"] = f"{MAY_IMPORT['cli']} cli"
 NOT_IN_GEOMETRY = {"json", "cv2", "logging", "pathlib", "os", "yaml", "ruamel", "msgspec", "io", "nuscenes"}
 ONLY_IN_CLI = {"typer", "click"}
 CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*|__[a-z]+__")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import threading
 import time
 import warnings
@@ -89,10 +90,11 @@ def in_cluster(work: Callable[[Item], Outcome], items: Iterable[Item], scheduler
 
 
 class _Backend(DaskDistributedBackend):  # type: ignore[misc]
-    """joblib's own, with two gaps closed.
+    """joblib's own, with three gaps closed.
 
-    Work for a single core goes to that core, not to this process. And what fails outside of the work
-    itself (unpickling, a worker killed too often, a lost scheduler) ends the wait for it.
+    Work for a single core goes to that core, not to this process. What fails outside of the work itself
+    (unpickling, a worker killed too often, a lost scheduler) ends the wait for it. And an end does not wait for
+    outcomes that another thread takes meanwhile.
     """
 
     def effective_n_jobs(self, n_jobs: int) -> int:
@@ -109,6 +111,13 @@ class _Backend(DaskDistributedBackend):  # type: ignore[misc]
 
         future.add_done_callback(tell)
         return future
+
+    def abort_everything(self, ensure_ready: bool = True) -> None:
+        with self.waiting_futures.lock:
+            self.waiting_futures.futures.clear()
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    self.waiting_futures.queue.get_nowait()
 
     def retrieve_result_callback(self, out: Any) -> Any:
         if isinstance(out, BaseException):

@@ -112,7 +112,7 @@ def test_a_fleet_gives_every_car_the_same_masks(bench: Bench, front: Path, tmp_p
         assert not ((found > 0) & (mask == 0)).any()
     fleet.write_text("name: two\nvirtual: virtual.yaml\nsources: [front.yaml]\n")
     lonely = bench.convert("--dry-run", rig=fleet, dst=bench.folder / "other")
-    assert "The cameras of src are none of front; what they cannot fill is blackened too." in lonely.stdout
+    assert "The cameras of src count as well: what they cannot fill is black too." in lonely.stdout
     fleet.write_text("name: two\nvirtual: virtual.yaml\nsources: [front.yaml]\ncommon: false\n")
     plain = bench.folder / "plain"
     bench.converted(rig=fleet, dst=plain)

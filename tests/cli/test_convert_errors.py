@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -36,6 +37,7 @@ from tests.datasets import (
     tree,
     unidrive,
 )
+from unidrive_cli.tables import dataset as dataset_module
 
 LARGE_RIG = SMALL_RIG.replace("width: 64, height: 36", "width: 1600, height: 900")
 """Takes long enough for a signal to arrive in the middle."""
@@ -1365,3 +1367,71 @@ def test_the_interpreter_is_the_tests_own() -> None:
     """What `SCRIPT` starts is the package under test."""
     assert Path(SCRIPT).parent == Path(sys.executable).parent
     assert spawn("--version").stdout == unidrive("--version").stdout
+
+
+def test_static_coverage_of_a_channel_that_is_given_twice(bench: Bench) -> None:
+    """Of several key frames of one channel the nearest in time counts, as for the pictures."""
+
+    def twice(found: list[Row]) -> None:
+        front = [row for row in found if "/CAM_FRONT/" in row["filename"]]
+        found.extend({**row, "token": f"{row['token']}b", "prev": "", "next": ""} for row in front)
+
+    bench.converted("--masks", "camera", dst=bench.folder / "before")
+    bench.edit("sample_data", twice)
+    bench.converted("--masks", "camera")
+    assert tree(bench.dst / "masks") == tree(bench.folder / "before" / "masks")
+
+
+def test_static_coverage_without_a_picture_that_alone_knows_its_size(bench: Bench) -> None:
+    bench.edit("sample_data", lambda found: [row.update(width=None, height=None) for row in found])
+    bench.picture().unlink()
+    run = bench.convert("--masks", "camera", "--on-error", "skip")
+    assert run.code == 1
+    assert "left out: " in run.stderr
+    assert sorted(path.name for path in (bench.dst / "masks").iterdir()) == ["CAM_BACK.png", "CAM_FRONT.png"]
+
+
+def test_what_a_dry_run_says_of_a_full_disk(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=10))
+    assert "will refuse to start (--no-space-check)" in bench.convert("--dry-run").stdout
+    assert "will start all the same" in bench.convert("--dry-run", "--no-space-check").stdout
+
+
+@pytest.mark.parametrize("scanned", [False, True])
+def test_rotations_that_are_no_unit_quaternions(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, scanned: bool
+) -> None:
+    """They are taken as their direction, which is said, and the output has none."""
+    bench.converted(dst=bench.folder / "before")
+
+    def halve(found: list[Row]) -> None:
+        for row in found:
+            row["rotation"] = [number / 2 for number in row["rotation"]]
+
+    for table in ("ego_pose", "calibrated_sensor", "sample_annotation"):
+        bench.edit(table, halve)
+    if scanned:
+        monkeypatch.setattr(dataset_module, "LARGE_BYTES", 0)
+    run = bench.converted()
+    for table in ("ego_pose", "calibrated_sensor", "sample_annotation"):
+        assert (
+            f"rotations of {table}.json, the first of token {rows(bench.src, table)[0]['token']}, not of"
+            in run.stdout
+        )
+    assert unidrive("validate", bench.dst).code == 0
+    for picture in (bench.folder / "before" / "samples").rglob("*.jpg"):
+        assert picture.read_bytes() == (bench.dst / picture.relative_to(bench.folder / "before")).read_bytes()
+
+
+def test_a_source_that_is_a_conversion_is_said_to_be(bench: Bench) -> None:
+    bench.converted()
+    run = bench.converted(src=bench.dst, dst=bench.folder / "twice")
+    assert "note: The source was itself written by unidrive convert" in run.stdout
+
+
+def test_a_folder_of_several_datasets(bench: Bench) -> None:
+    cars = bench.folder / "cars"
+    for name in ("sedan", "van"):
+        shutil.copytree(bench.src, cars / name)
+    for options in ((), ("--version", VERSION), ("--version", f"van/{VERSION}")):
+        bench.refused(2, "holds 2 datasets: sedan, van. Give the folder of one: ", src=cars, options=options)

@@ -289,3 +289,11 @@ def test_a_broken_dataset(painted: Path, tmp_path: Path) -> None:
     run = unidrive("inspect-rig", root)
     assert run.code == 3
     assert "no camera key frames" in run.said
+
+
+def test_a_lens_for_a_camera_that_is_not_there(bench: Bench) -> None:
+    lenses = bench.folder / "lenses.yaml"
+    lenses.write_text("CAM_FRNT: {model: fisheye, coefficients: [0.1, 0, 0, 0]}\n")
+    run = unidrive("inspect-rig", bench.src, "--lenses", lenses)
+    assert run.code == 2
+    assert "Did you mean CAM_FRONT?" in run.stderr

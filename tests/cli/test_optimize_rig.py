@@ -205,3 +205,14 @@ def test_boxes_that_nobody_sees(search: Path, bench: Bench, tmp_path: Path) -> N
 
     bench.edit("sample_annotation", lift)
     refused(2, "sees any of the", bench.src, "--search", search, "--out", tmp_path / "rig.yaml")
+
+
+def test_fewer_candidates_than_there_are(drive: Path, search: Path, tmp_path: Path) -> None:
+    """The rig that is there is the best of them all."""
+    command = ("optimize-rig", "4x95", "--boxes", drive, "--search", search, "--out", tmp_path / "rig.yaml")
+    assert unidrive(*command, "--evaluations", 30).code == 0
+    before = (tmp_path / "rig.yaml").read_bytes()
+    refused(
+        2, "candidates; 8 would be fewer. Ask for as many, or more.", *command[1:], "--resume", "--evaluations", 8
+    )
+    assert (tmp_path / "rig.yaml").read_bytes() == before

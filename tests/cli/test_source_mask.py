@@ -64,6 +64,14 @@ def test_static_coverage_leaves_it_out_too(bench: Bench, outside: Path) -> None:
     assert not static[-1, 20:-20].any()
 
 
+def test_what_it_hides_does_not_count_as_covered(bench: Bench, outside: Path) -> None:
+    options = ("--min-coverage", 0.6)
+    bench.converted(*options)
+    masks = folder_of(outside, CAM_BACK=lower(32))
+    run = bench.converted(*options, "--source-mask", masks, dst=bench.folder / "other")
+    assert "Left out, being covered less than 60% in the mean of all samples: CAM_BACK (" in run.stdout
+
+
 def test_the_plan_is_that_of_what_the_masks_hold(bench: Bench, outside: Path) -> None:
     bench.converted("--source-mask", folder_of(outside, CAM_BACK=lower(12)))
     digests = json.loads((bench.dst / "unidrive.json").read_text())["plan"]["options"]["source_masks"]

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import resource
+import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.datasets import VERSION, Bench, Row, rows, spawn, tree, unidrive
+from tests.datasets import SCRIPT, VERSION, Bench, Row, rows, spawn, tree, unidrive
+from unidrive_cli.check import mending
 from unidrive_cli.tables import dataset as dataset_module
+from unidrive_cli.tables import thinned
 
 
 def break_lists(bench: Bench) -> set[str]:
@@ -225,3 +231,63 @@ def test_the_console_script_prints_the_rules() -> None:
     run = spawn("validate", "--rules")
     assert run.code == 0
     assert run.stdout == (Path(__file__).parents[2] / "docs" / "rules.md").read_text()
+
+
+@pytest.mark.parametrize(("field", "value"), [("visibility_token", 4), ("num_lidar_pts", True)])
+def test_types_in_large_tables(bench: Bench, monkeypatch: pytest.MonkeyPatch, field: str, value: object) -> None:
+    bench.edit("sample_annotation", lambda found: [row.update({field: value}) for row in found])
+    said = []
+    for large in (dataset_module.LARGE_BYTES, 0):
+        monkeypatch.setattr(dataset_module, "LARGE_BYTES", large)
+        run = unidrive("validate", bench.src, "--json")
+        assert run.code == 1
+        said.append([finding for finding in run.json()["findings"] if finding["rule"] == "STR-2"])
+    assert said[0] == said[1] != []
+
+
+def test_ctrl_c_between_two_tables(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    break_lists(bench)
+    rewrite, done = mending._rewrite, list[Path]()
+
+    def once(path: Path, *more: Any) -> None:
+        if done:
+            raise KeyboardInterrupt
+        done.append(path)
+        rewrite(path, *more)
+
+    monkeypatch.setattr(mending, "_rewrite", once)
+    run = unidrive("validate", bench.src, "--fix")
+    assert run.code == 130
+    assert "Nothing was written" not in run.stderr
+    assert "have what they were beside them (.bak)" in run.stderr
+    assert done[0].with_name(f"{done[0].name}.bak").exists()
+
+
+def test_a_full_temporary_folder(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The devkit opens some scenes of a large dataset, in tables of their own."""
+    monkeypatch.setattr(thinned, "DEVKIT_SCENES", 1)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+    try:
+        run = unidrive("validate", bench.src)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert run.code == 4
+    assert f"{tmp_path}: the tables of 1 scenes, which nuscenes-devkit is to open, cannot be written" in run.stderr
+    assert "Set TMPDIR to a folder with more room." in run.stderr
+
+
+def test_what_is_said_has_no_room(bench: Bench) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [SCRIPT, "validate", bench.src], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 4
+    assert done.stderr.startswith("unidrive: standard output: cannot be written: No space left on device.")
+    assert done.stderr.count("\n") == 1
+
+
+def test_nobody_listens(bench: Bench) -> None:
+    assert subprocess.run(["bash", "-c", '"$0" validate "$1" >&-', SCRIPT, bench.src], check=False).returncode == 0

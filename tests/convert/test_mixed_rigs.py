@@ -248,6 +248,17 @@ def test_low_pictures_are_dropped_one_by_one(cars: dict[str, Path], alone: dict[
     assert named <= {row["filename"] for row in rows_of(tmp_path / "dst", "camera")}
 
 
+def test_pictures_that_were_left_out_cannot_be_measured(cars: dict[str, Path], tmp_path: Path) -> None:
+    write_painted(tmp_path / "three", cameras=nuscenes_like_cameras(0.02), samples_per_scene=3, supersample=1)
+    source = blind_behind({SIX: tmp_path / "three"}, tmp_path / "src", (1,))
+    converted(source, tmp_path / "whole")
+    converted(source, tmp_path / "dst", "--min-coverage", 0.6, "--low-coverage", "drop-picture")
+    run = unidrive("measure", tmp_path / "dst", "--truth", tmp_path / "whole")
+    assert run.code == 3
+    assert "no picture of CAM_BACK: --low-coverage drop-picture left it out" in run.stderr
+    assert "Measure the source with --rig." in run.stderr
+
+
 def test_a_list_leads_past_a_picture_that_is_dropped(cars: dict[str, Path], tmp_path: Path) -> None:
     """Three samples; the one in the middle has nothing behind."""
     write_painted(tmp_path / "three", cameras=nuscenes_like_cameras(0.02), samples_per_scene=3, supersample=1)

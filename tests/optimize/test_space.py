@@ -120,6 +120,12 @@ def test_the_dust_of_a_grid_goes() -> None:
     assert grid.on_grid(np.array([2.6])).tolist() == [2.5]
 
 
+def test_a_bound_beside_the_grid_is_never_taken() -> None:
+    grid = space(Parameter("height", (LEFT,), 800, 1001, 20), Parameter("x", (LEFT,), 1.0, 2.05, 0.1))
+    assert grid.on_grid(np.array([1010.0, 2.1])).tolist() == [1000.0, 2.0]
+    assert [parameter.highest for parameter in grid.parameters] == [1000.0, 2.0]
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [

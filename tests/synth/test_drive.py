@@ -428,6 +428,16 @@ def test_bad_options_are_one_sentence(arguments: tuple[str, ...], words: str, tm
     assert not (tmp_path / "out").exists()
 
 
+def test_two_rigs_with_the_same_cameras(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.yaml" for name in ("one", "other")]
+    for path in paths:
+        path.write_text(RIG.format(name=path.stem, hfov=50))
+    both = [word for path in paths for word in ("--rig", path)]
+    run = unidrive("synth", tmp_path / "out", *both, "--keyframes", "1", "--jobs", "0")
+    assert run.code == 0, run.stderr
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["one", "other"]
+
+
 def test_two_rigs_of_one_name_are_refused(rigs: dict[str, Path], tmp_path: Path) -> None:
     """On some disks `narrow` and `Narrow` are one folder."""
     other = tmp_path / "other.yaml"

@@ -244,6 +244,25 @@ def test_what_is_wrong_gets_the_sentence_of_a_small_table(
     assert sentences[0] == sentences[1]
 
 
+@pytest.mark.parametrize(
+    "cut", [lambda text: "", lambda text: text[:-1], lambda text: text[: text.index("}, {") + 2]]
+)
+def test_a_table_that_is_cut_off_gets_the_sentence_of_a_small_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: Callable[[str], str]
+) -> None:
+    """DuckDB takes what is empty, or cut off after a comma, for whole."""
+    root = write(tmp_path, tables())
+    path = root / VERSION / "sample_annotation.json"
+    path.write_text(cut(path.read_text()))
+    sentences = []
+    for large in (dataset_module.LARGE_BYTES, 0):
+        monkeypatch.setattr(dataset_module, "LARGE_BYTES", large)
+        with pytest.raises(DatasetError) as caught:
+            open_dataset(root)
+        sentences.append(str(caught.value))
+    assert sentences[0] == sentences[1]
+
+
 @pytest.mark.usefixtures("scanning")
 @pytest.mark.parametrize("extra", [{"a": 1}, [{"a": 1}, {"b": 2}], "}, {", "{", "}{"])
 def test_braces_elsewhere_are_no_rows(tmp_path: Path, extra: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 from tests.tables.small import tables
 from unidrive_cli.errors import DatasetError
-from unidrive_cli.tables.table import changed, read_table, table_of, write_rows
+from unidrive_cli.tables.table import RowsFile, changed, read_table, table_of, write_rows
 
 ROWS = tables()
 
@@ -124,6 +125,26 @@ def test_a_number_beyond_float_is_named_with_its_token(tmp_path: Path) -> None:
     assert refusal(tmp_path, data, "ego_pose").startswith(
         "/ego_pose.json, row 1, token ego-s1, field translation[1]: "
     )
+
+
+def test_a_file_that_is_abandoned_hides_no_error(tmp_path: Path) -> None:
+    """What is buffered goes to a disk that is full, while another error is under way."""
+    with Path("/dev/full").open("wb") as full:
+        file = RowsFile(tmp_path / "table.json")
+        file.write([b"{}"])
+        os.dup2(full.fileno(), file._stream.fileno())
+        file.abandon()
+    assert not (tmp_path / "table.json").exists()
+
+
+@pytest.mark.parametrize("number", [10**30, 2**63, -(10**400)])
+def test_whole_numbers_that_nothing_can_hold(tmp_path: Path, number: int) -> None:
+    made = tables()
+    made["sample"][1]["timestamp"] = number
+    path = tmp_path / "sample.json"
+    path.write_text(json.dumps(made["sample"]))
+    with pytest.raises(DatasetError, match="row 1, token s1, field timestamp: "):
+        read_table(path, "sample")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from unidrive_cli.check.finding import Broken
 from unidrive_cli.check.subject import Subject
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.schema import Row
+from unidrive_cli.tables.schema import Row, Whole
 from unidrive_cli.tables.table import Indices
 
 NamedFile = tuple[str, Callable[[], str]]
@@ -23,8 +23,8 @@ _HEAD_BYTES = 1 << 16
 
 class _Picture(Row, frozen=True, gc=False):
     filename: str
-    width: int | None = None
-    height: int | None = None
+    width: Whole | None = None
+    height: Whole | None = None
 
 
 def named_files(dataset: Dataset, rows: Indices) -> Iterator[NamedFile]:

@@ -99,10 +99,12 @@ def _rewrite(path: Path, table: Table[Any], changes: Changes) -> None:
     try:
         _keep(path)
         write_rows(path, table.runs(np.arange(len(table.rows)), changes))
-    except OSError as error:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             for end in (".part", ".bak.part"):
                 path.with_name(path.name + end).unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         raise OutputError(f"cannot be written: {error.strerror}.", where=str(path)) from error
 
 

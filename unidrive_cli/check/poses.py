@@ -12,26 +12,37 @@ from unidrive_cli.check.subject import Subject
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.table import Table
+from unidrive_cli.tables.table import Indices, Table
 
 MAX_COORDINATE_M = 1e9
 MAX_SIZE_M = 1e4
 MIN_NORM = 1e-6
 UNIT_TOLERANCE = 1e-3
+Rotations = dict[str, dict[int, list[float]]]
+"""Quaternions w, x, y, z by table and index of the row."""
 
 
-def check_poses(dataset: Dataset) -> None:
+def check_poses(dataset: Dataset) -> Rotations:
     """What arithmetic with poses and boxes needs of POSE-1, POSE-2 and BOX-1; boxes may be flat.
+
+    Returns:
+        Of rotations that are no unit quaternions (POSE-3): these scaled to unit length.
 
     Raises:
         DatasetError: naming the first row that breaks it.
     """
+    scaled: Rotations = {}
     for table in _tables(dataset):
-        for where, what in (*_no_rotations(table), *_far_off(table)):
+        norms = _norms(table)
+        for where, what in (*_no_rotations(table, norms), *_far_off(table)):
             raise DatasetError(what, where=where)
+        if len(bad := _not_unit(norms)):
+            units = table.numbers("rotation")[bad] / norms[bad, None]
+            scaled[table.name] = dict(zip(bad.tolist(), units.tolist(), strict=True))
     sizes = dataset.sample_annotation.numbers("size")
     for where, what in _sizeless(dataset, ((sizes >= 0) & (sizes <= MAX_SIZE_M)).all(axis=1), "from 0 to"):
         raise DatasetError(what, where=where)
+    return scaled
 
 
 def no_rotations(subject: Subject) -> Iterator[Broken]:
@@ -40,7 +51,7 @@ def no_rotations(subject: Subject) -> Iterator[Broken]:
     It is no rotation.
     """
     for table in _tables(subject.dataset):
-        yield from _no_rotations(table)
+        yield from _no_rotations(table, _norms(table))
 
 
 def far_translations(subject: Subject) -> Iterator[Broken]:
@@ -59,7 +70,7 @@ def rotations_not_unit(subject: Subject) -> Iterator[Broken]:
     """
     for table in _tables(subject.dataset):
         norms = _norms(table)
-        bad = np.flatnonzero((norms > MIN_NORM) & ~(np.abs(norms - 1) <= UNIT_TOLERANCE) & np.isfinite(norms))
+        bad = _not_unit(norms)
         for row, norm in zip(table.rows_at(bad), norms[bad], strict=True):
             what = f"{list(row.rotation)} has norm {norm:g}; a unit quaternion w, x, y, z was expected."
             yield table.place(row, "rotation"), what
@@ -84,8 +95,11 @@ def _norms(table: Table[Any]) -> Float:
     return norms
 
 
-def _no_rotations(table: Table[Any]) -> Iterator[Broken]:
-    norms = _norms(table)
+def _not_unit(norms: Float) -> Indices:
+    return np.flatnonzero((norms > MIN_NORM) & ~(np.abs(norms - 1) <= UNIT_TOLERANCE) & np.isfinite(norms))
+
+
+def _no_rotations(table: Table[Any], norms: Float) -> Iterator[Broken]:
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > MIN_NORM)))
     for row, norm in zip(table.rows_at(bad), norms[bad], strict=True):
         what = f"{list(row.rotation)} has norm {norm:g}; a unit quaternion w, x, y, z was expected."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,7 +14,7 @@ from unidrive_cli.tables.converted import MARKER, WORK
 from unidrive_cli.tables.dataset import OPTIONAL
 from unidrive_cli.tables.extra import extra_table_paths, read_extra_table
 from unidrive_cli.tables.lacking import ASKED_FOR, lacking
-from unidrive_cli.tables.scanned import SCANNED, scan_tables
+from unidrive_cli.tables.scanned import SCANNED, ScannedTable, scan_tables
 from unidrive_cli.tables.schema import NEEDED, TABLES
 from unidrive_cli.tables.table import ListedTable, read_table
 
@@ -59,10 +59,21 @@ def unreadable_tables(subject: Subject) -> Iterator[Broken]:
         DatasetError: none of the needed tables can be read.
     """
     try:
-        subject.dataset  # noqa: B018 (opened to see whether it can be)
-        return
+        dataset = subject.dataset
     except DatasetError as error:
-        whole = error
+        yield from _unreadable(subject, error)
+        return
+    for name in SCANNED:
+        table = getattr(dataset, name)
+        if isinstance(table, ScannedTable):
+            try:
+                deque(table.rows, maxlen=0)
+            except DatasetError as error:
+                yield error.where, f"{error.what} {error.hint}".strip()
+
+
+def _unreadable(subject: Subject, whole: DatasetError) -> Iterator[Broken]:
+    """The first fault of each table of a dataset that cannot be opened."""
     found: dict[str, DatasetError] = {}
     for name in TABLES:
         if name not in subject.missing:

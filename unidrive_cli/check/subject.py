@@ -17,7 +17,7 @@ from unidrive_cli.check.finding import Broken
 from unidrive_cli.geometry.arrays import Bool, Float
 from unidrive_cli.tables.dataset import Dataset, open_dataset
 from unidrive_cli.tables.layouts.base import Layout
-from unidrive_cli.tables.schema import TABLES, Row, Timestamp
+from unidrive_cli.tables.schema import TABLES, Row, Timestamp, Whole
 from unidrive_cli.tables.table import NOWHERE, Indices, Table
 
 Item = TypeVar("Item")
@@ -28,8 +28,8 @@ _BATCH = 512
 
 class _Shot(Row, frozen=True, gc=False):
     timestamp: Timestamp
-    width: int | None = None
-    height: int | None = None
+    width: Whole | None = None
+    height: Whole | None = None
 
 
 class Shots(NamedTuple):

@@ -43,7 +43,7 @@ class SelectionOptions(SourceOptions):
 
 
 @dataclass(frozen=True)
-class ConversionOptions:
+class OutputOptions:
     """What becomes of a dataset; the names are those of `convert.options.Options` where it has them."""
 
     source_mask: Path | None = option(
@@ -108,7 +108,7 @@ def planned(
     rig: str,
     selection: SelectionOptions,
     warp: WarpOptions,
-    chosen: ConversionOptions,
+    chosen: OutputOptions,
     **how: Any,
 ) -> Plan:
     """The plan of a conversion, from a command's options; what was found out about the rig goes to stderr.
@@ -148,9 +148,7 @@ def planned(
     return plan
 
 
-def _options(
-    selection: SelectionOptions, warp: WarpChoices, chosen: ConversionOptions, how: dict[str, Any]
-) -> Options:
+def _options(selection: SelectionOptions, warp: WarpChoices, chosen: OutputOptions, how: dict[str, Any]) -> Options:
     shared = {field.name for field in fields(chosen)} & {field.name for field in fields(Options)}
     given = {name: getattr(chosen, name) for name in shared}
     given["source_mask"] = "" if chosen.source_mask is None else str(chosen.source_mask)
@@ -199,8 +197,10 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
         typer.echo(f"visibility lowered for {counts.visibility_lowered:,} of {counts.annotations:,} annotations")
     if counts.boxes_unseen:
         fate = "kept" if not counts.boxes_dropped else "left out"
-        unwitnessed = f"no source camera saw {counts.boxes_unwitnessed:,} of all"
-        typer.echo(f"{plural(counts.boxes_unseen, 'annotation')} shown by no virtual pixel, {fate}; {unwitnessed}")
+        unwitnessed = ""
+        if counts.boxes_unwitnessed:
+            unwitnessed = f"; {counts.boxes_unwitnessed:,} of all were seen by no source camera"
+        typer.echo(f"{plural(counts.boxes_unseen, 'annotation')} shown by no virtual pixel, {fate}{unwitnessed}")
     for note in summary.notes:
         typer.echo(f"note: {note}")
     if summary.verified:

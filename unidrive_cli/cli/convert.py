@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from unidrive_cli.cli.conversion import (
-    ConversionOptions,
+    OutputOptions,
     SelectionOptions,
     and_sweeps,
     leave_out,
@@ -25,6 +25,7 @@ from unidrive_cli.cli.shared import (
     JOBS,
     JSON,
     RIG_HELP,
+    SOURCE,
     WarpOptions,
     grouped,
     guarded,
@@ -45,13 +46,13 @@ if TYPE_CHECKING:
 @guarded
 @grouped
 def convert_command(
-    src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
+    src: Path = SOURCE,
     dst: Path = typer.Argument(..., metavar="DST", help="Where the converted dataset goes."),
     rig: str = option(..., "--rig", help=RIG_HELP),
     *,
     selection: SelectionOptions,
     warp: WarpOptions,
-    chosen: ConversionOptions,
+    chosen: OutputOptions,
     jobs: int | None = JOBS,
     backend: Backend = option(
         "processes", "--backend", help="Processes on this machine, or a Dask cluster's workers."
@@ -166,7 +167,9 @@ def _say_plan(plan: Plan, dst: Path, as_json: bool, share: Part | None, *, free:
         why = "" if links else ": DST is on another file system, where links cannot lead"
         typer.echo(f"files that do not change (lidar, radar, maps) are copied{why}; their size is not counted above")
     if estimate > free:
-        typer.echo("that is more than is free: the conversion will refuse to start (--no-space-check)")
+        refuses = plan.options.space_check
+        what = "refuse to start (--no-space-check)" if refuses else "start all the same, and may stop in the middle"
+        typer.echo(f"that is more than is free: the conversion will {what}")
     if share:
         units = share.of(plan.moments)
         scenes = len({unit.scene.token for unit in units})

@@ -6,20 +6,20 @@ from pathlib import Path
 
 import typer
 
-from unidrive_cli.cli.conversion import ConversionOptions, SelectionOptions, planned, say_summary
-from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, RIG_HELP, WarpOptions, grouped, guarded, option
+from unidrive_cli.cli.conversion import OutputOptions, SelectionOptions, planned, say_summary
+from unidrive_cli.cli.shared import CONFIG, DEBUG, JSON, RIG_HELP, SOURCE, WarpOptions, grouped, guarded, option
 
 
 @guarded
 @grouped
 def finalise_command(
-    src: Path = typer.Argument(..., metavar="SRC", help="Dataset: the folder that holds v1.0-*."),
+    src: Path = SOURCE,
     dst: Path = typer.Argument(..., metavar="DST", help="Where the parts put the converted samples."),
     rig: str = option(..., "--rig", help=RIG_HELP),
     *,
     selection: SelectionOptions,
     warp: WarpOptions,
-    chosen: ConversionOptions,
+    chosen: OutputOptions,
     jobs: int | None = option(None, "--jobs", hidden=True, help="No effect: --config may be that of `convert`."),
     backend: str = option("", "--backend", hidden=True, help="No effect, as --jobs."),
     scheduler: str = option("", "--scheduler", hidden=True, help="No effect, as --jobs."),

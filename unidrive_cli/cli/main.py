@@ -48,8 +48,3 @@ app.command("optimize-rig")(optimize_rig_command)
 app.command("synth")(synth_command)
 app.command("validate")(validate_command)
 app.command("doctor")(doctor_command)
-
-
-def run() -> None:
-    """Entry point of the console script."""
-    app()

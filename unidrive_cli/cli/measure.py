@@ -43,7 +43,10 @@ _NAME_WIDTH = 34
 def measure_command(
     context: typer.Context,
     datasets: list[Path] = typer.Argument(
-        ..., metavar="SRC...", help="With --rig the datasets to measure; else one that convert has written."
+        ...,
+        metavar="SRC...",
+        readable=False,
+        help="With --rig the datasets to measure; else one that convert has written.",
     ),
     *,
     rig: str | None = option(None, "--rig", help=RIG_HELP, show_default=False),

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 @guarded
 def merge_command(
-    datasets: list[Path] = typer.Argument(..., metavar="DST...", help="Converted datasets, of one virtual rig."),
+    datasets: list[Path] = typer.Argument(
+        ..., metavar="DST...", readable=False, help="Converted datasets, of one virtual rig."
+    ),
     dst: Path = option(..., "--out", help="Where the merged dataset goes."),
     version: str | None = option(
         None, "--version", help="Name of its version folder, where theirs have several.", show_default=False

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 import typer
 
-from unidrive_cli.errors import UnidriveError, UsageError, did_you_mean
+from unidrive_cli.errors import OutputError, UnidriveError, UsageError, did_you_mean
 from unidrive_cli.warp.choices import (
     DEFAULT_DEPTH_LIMIT_M,
     DEFAULT_GROUND_HEIGHT_M,
@@ -42,7 +42,8 @@ def guarded(command: Command) -> Command:
         signal.signal(signal.SIGTERM, _interrupt)
         try:
             command(*args, **kwargs)
-            sys.stdout.flush()
+            if sys.stdout:
+                sys.stdout.flush()
         except UnidriveError as error:
             _fail(str(error), error.exit_code, debug=kwargs.get("debug", False))
         except BrokenPipeError:
@@ -50,14 +51,26 @@ def guarded(command: Command) -> Command:
             raise typer.Exit(0) from None
         except KeyboardInterrupt:
             what_now = f"To continue:\n{command_line()}" if "dst" in kwargs else "Nothing was written."
+            if kwargs.get("fix"):
+                what_now = "Tables that were mended by then have what they were beside them (.bak)."
             _fail(f"interrupted. {what_now}", INTERRUPTED, debug=False)
         except Exception as error:
+            if isinstance(error, OSError) and _came_of_saying(error):
+                sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 (what is left is flushed at the end)
+                sentence = f"standard output: cannot be written: {error.strerror}."
+                _fail(sentence, OutputError.exit_code, debug=kwargs.get("debug", False))
             if isinstance(error, typer.Exit) or type(error).__module__.startswith(("click", "typer")):
                 raise
             sentence = f"unexpected {type(error).__name__}: {error}. This is a bug; --debug shows where it happened."
             _fail(sentence, 1, debug=kwargs.get("debug", False))
 
     return run  # type: ignore[return-value]
+
+
+def _came_of_saying(error: OSError) -> bool:
+    """Whether an error was raised by `typer.echo`, or by the flush at the end of a command."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return last.name == "echo" or last.filename == __file__
 
 
 def grouped(command: Command) -> Command:
@@ -168,6 +181,9 @@ LENSES = option(
     help="YAML file of SRC's lenses by channel, where its tables do not say them (docs/lenses.md).",
     show_default=False,
 )
+SOURCE = typer.Argument(
+    ..., metavar="SRC", readable=False, help="Dataset: the folder that holds v1.0-*."
+)  # whether it can be read is found out with a better sentence
 RIG_HELP = "Virtual rig: a rig file, a shipped rig's name, a dataset folder, or a fleet file."
 COMMON_SWEEP = option(
     None,

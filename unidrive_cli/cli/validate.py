@@ -41,7 +41,7 @@ def _rules(wanted: bool) -> None:
 
 @guarded
 def validate_command(
-    dataset: Path = typer.Argument(..., metavar="DATASET", help="The folder that holds v1.0-*."),
+    dataset: Path = typer.Argument(..., metavar="DATASET", readable=False, help="The folder that holds v1.0-*."),
     version: str | None = VERSION,
     layout: str | None = LAYOUT,
     fix: bool = option(

@@ -45,8 +45,7 @@ def with_own_rig(
     used = tuple(camera for camera in own.cameras if not options.cameras or camera.channel in options.cameras)
     if any(_same_cameras(used, rig.cameras) for rig in common.rigs):
         return common, notes
-    names = ", ".join(rig.name for rig in common.rigs)
-    notes.append(f"The cameras of {own.name} are none of {names}; what they cannot fill is blackened too.")
+    notes.append(f"The cameras of {own.name} count as well: what they cannot fill is black too.")
     return replace(common, rigs=(*common.rigs, replace(own, cameras=used))), notes
 
 

@@ -18,7 +18,8 @@ from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
+from unidrive_cli.tables.moments import lens_and_pose
+from unidrive_cli.tables.rig_of_dataset import picture_size_of
 from unidrive_cli.tables.schema import SampleData
 from unidrive_cli.warp.common import common_masks, covered_share
 from unidrive_cli.warp.own_car import OwnCar

@@ -29,11 +29,10 @@ from unidrive_cli.rig.model import Camera
 from unidrive_cli.tables.converted import PROVENANCE, camera_mask_name
 from unidrive_cli.tables.destination import FAILED, RUN, TRAINING, Destination, writing
 from unidrive_cli.tables.devkit import LABELS, labels_refused
-from unidrive_cli.tables.rig_of_dataset import rig_of_dataset
 from unidrive_cli.tables.splits import SPLITS, findable, own_splits, trimmed
 from unidrive_cli.tables.table import RawRows, write_rows
 from unidrive_cli.warp.common import blanks_of
-from unidrive_cli.warp.pictures import encode_mask, size_of_file
+from unidrive_cli.warp.pictures import encode_mask
 from unidrive_cli.warp.reduction import Reductions
 from unidrive_cli.warp.remap import Source, build_patches, coverage, virtual_views
 
@@ -236,8 +235,9 @@ def _map_pictures(plan: Plan, destination: Destination, notes: list[str]) -> Non
 def _camera_masks(plan: Plan, destination: Destination) -> None:
     """Static coverage: the source's most frequent rig, all cameras at one moment."""
     options = plan.options
-    rig, _ = rig_of_dataset(plan.dataset, scene_names(plan.units), size_of_file)
-    chosen = [camera for camera in rig.cameras if not options.cameras or camera.channel in options.cameras]
+    chosen = [
+        camera for camera in plan.source_rig.cameras if not options.cameras or camera.channel in options.cameras
+    ]
     sources = [
         Source(
             camera.lens,

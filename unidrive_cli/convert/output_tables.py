@@ -98,7 +98,7 @@ class _PoseRow(msgspec.Struct, gc=False):
 
     token: str
     timestamp: Timestamp
-    rotation: Quaternion
+    rotation: Quaternion | list[float]
     translation: Vector3
 
 
@@ -270,9 +270,10 @@ class OutputTables:
 
     def _calibrated_sensors(self) -> Iterator[RawRow]:
         table, sensors = self._dataset.calibrated_sensor, self._dataset.sensor_of_calibration
-        for row, raw in zip(table.rows, table.raw, strict=True):
+        rotations = self._plan.rotations.get("calibrated_sensor", {})
+        for index, (row, raw) in enumerate(zip(table.rows, table.raw, strict=True)):
             if sensors[row.token].modality != "camera":
-                yield raw
+                yield changed(raw, {"rotation": rotations[index]}) if index in rotations else raw
         for camera in self._plan.rig.cameras:
             yield _row(
                 token=self._token("calibrated_sensor", "", camera.channel),
@@ -297,7 +298,10 @@ class OutputTables:
         stays = np.ones(len(table.rows), dtype=bool)
         stays[poses] = False
         stays[poses[self.kept_sample_data]] = True
-        yield from table.runs(np.flatnonzero(stays), {})
+        scaled = self._plan.rotations.get(table.name, {})
+        yield from table.runs(np.flatnonzero(stays), {index: {"rotation": unit} for index, unit in scaled.items()})
+        rows = table.rows_at(np.array(list(scaled), dtype=np.int64))
+        rotations = {row.token: unit for row, unit in zip(rows, scaled.values(), strict=True)}
         places = table.find([unit.reference.ego_pose_token for unit in self._units])
         references = np.array([sweep.reference for sweep in self._sweeps], dtype=np.int64)
         moments: Iterator[tuple[Moment, EgoPose]] = itertools.chain(
@@ -307,7 +311,7 @@ class OutputTables:
         while several := list(itertools.islice(moments, _UNITS_A_RUN)):
             yield run_of(
                 [
-                    _PoseRow(token, moment.timestamp, pose.rotation, pose.translation)
+                    _PoseRow(token, moment.timestamp, rotations.get(pose.token, pose.rotation), pose.translation)
                     for moment, pose in several
                     for token in itertools.compress(self._picture_tokens(moment), self._has_picture(moment))
                 ]
@@ -398,7 +402,7 @@ class OutputTables:
 
     @cached_property
     def _changed_annotations(self) -> dict[int, dict[str, Any]]:
-        """Mended links, new visibility; and centres in whole numbers as floats, which nuscenes-devkit needs."""
+        """Mended links, new visibility, unit rotations; and whole centres as floats, which nuscenes-devkit needs."""
         table, kept = self._dataset.sample_annotation, self.kept_annotations
         changes = mended_links(table, kept)
         for index, token in self._lowered.items():
@@ -406,6 +410,8 @@ class OutputTables:
         centres = table.numbers("translation")
         for index in np.flatnonzero(kept & (centres == np.floor(centres)).all(axis=1)).tolist():
             changes.setdefault(index, {})["translation"] = centres[index].tolist()
+        for index, unit in self._plan.rotations.get(table.name, {}).items():
+            changes.setdefault(index, {})["rotation"] = unit
         return changes
 
     def _linked_rows(self, table: Table[Any], kept: Bool) -> RawRows:

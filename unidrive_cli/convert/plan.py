@@ -17,7 +17,7 @@ import numpy as np
 
 from unidrive_cli import __version__
 from unidrive_cli.check.files import named_files
-from unidrive_cli.check.poses import check_poses
+from unidrive_cli.check.poses import Rotations, check_poses
 from unidrive_cli.check.references import check_references
 from unidrive_cli.convert.common import Common, with_own_rig
 from unidrive_cli.convert.coverage import covered_rig
@@ -32,11 +32,12 @@ from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.poses import relative
 from unidrive_cli.geometry.scene import HalfBall
 from unidrive_cli.rig.model import Rig
+from unidrive_cli.tables.converted import is_converted
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
 from unidrive_cli.tables.destination import RESERVED, digest_of
 from unidrive_cli.tables.layouts.known import LAYOUTS
-from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, reference_of
-from unidrive_cli.tables.rig_of_dataset import lens_and_pose, picture_size_of
+from unidrive_cli.tables.moments import cameras_of, lens_and_cam_from_ego, lens_and_pose, reference_of
+from unidrive_cli.tables.rig_of_dataset import picture_size_of, rig_of_dataset
 from unidrive_cli.tables.schema import Sample, SampleData, Scene, Timestamp
 from unidrive_cli.tables.splits import scenes_of
 from unidrive_cli.tables.table import Indices
@@ -46,7 +47,7 @@ from unidrive_cli.warp.pictures import check_size, jpeg_bytes, read_head, size_o
 from unidrive_cli.warp.remap import Source, virtual_views
 from unidrive_cli.warp.render import Toolchain, choose_toolchain
 
-METHOD = 4
+METHOD = 5
 """Version of what the pictures and tables depend on; a change of results raises it."""
 
 STANDARD_CHANNELS = (
@@ -110,6 +111,7 @@ class Plan:
         notes: what a user should know, one sentence each.
         sweeps: by scene and time; empty without the option.
         own_cars: where the source cameras show the own car, by channel.
+        rotations: unit quaternions of rows whose own are none.
     """
 
     dataset: Dataset
@@ -122,6 +124,16 @@ class Plan:
     common: Common | None = None
     sweeps: Sequence[Sweep] = ()
     own_cars: Mapping[str, OwnCar] = field(default_factory=dict)
+    rotations: Rotations = field(default_factory=dict)
+
+    @cached_property
+    def source_rig(self) -> Rig:
+        """The cameras that took most samples, for what depends on no sample.
+
+        Raises:
+            DatasetError, PictureError, RigError: they are no rig.
+        """
+        return rig_of_dataset(self.dataset, scene_names(self.units), size_of_file)[0]
 
     @cached_property
     def moments(self) -> list[Moment]:
@@ -257,10 +269,16 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
     toolchain = choose_toolchain(options.kernel, options.codec)
     surfaces = [view.half_ball for view in virtual_views(rig, options.depth_limit_m, options.ground_height_m)]
     notes = list(dataset.notes)
+    if is_converted(dataset.root):
+        notes.append(
+            "The source was itself written by unidrive convert, and what is black there counts as seen: convert the "
+            "dataset that it was made from instead."
+        )
     with ThreadPoolExecutor(1) as threads:
         decoding = threads.submit(lambda: dataset.keyframes)
         notes.extend(_mended_links(dataset))
-        check_poses(dataset)
+        rotations = check_poses(dataset)
+        notes.extend(_scaled(dataset, rotations))
         _check_filenames(dataset, output_version(dataset, options))
         decoding.result()
     channels = set(dataset.camera_channels(options.cameras))
@@ -287,8 +305,10 @@ def make_plan(dataset: Dataset, rig: Rig, options: Options, common: Common | Non
         sweeps, more = _sweeps(dataset, rig, options, units, sorted(channels), taken)
         notes.extend(more)
     names = OutputNames(dataset, output_version(dataset, options), keep_layout=options.keep_layout)
-    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common, sweeps, own_cars)
+    plan = Plan(dataset, rig, options, toolchain, units, notes, names, common, sweeps, own_cars, rotations)
     _check_cameras(plan)
+    if options.masks == "camera":
+        plan.source_rig  # noqa: B018 - refused before anything is written
     if plan.common_masks:
         shares = zip(rig.channels, plan.common_masks.shares, strict=True)
         notes.extend(
@@ -322,6 +342,19 @@ def _through(unit: Unit, whole: Rig, rig: Rig) -> Unit:
 def scene_names(units: Iterable[Unit]) -> tuple[str, ...]:
     """The scenes that samples are of, in their order."""
     return tuple(dict.fromkeys(unit.scene.name for unit in units))
+
+
+def _scaled(dataset: Dataset, rotations: Rotations) -> list[str]:
+    """A sentence for each table with rotations that are no unit quaternions."""
+    sentences = []
+    for name, of_rows in rotations.items():
+        (first,) = getattr(dataset, name).rows_at(np.array([min(of_rows)]))
+        count = "1 rotation" if len(of_rows) == 1 else f"{len(of_rows):,} rotations"
+        sentences.append(
+            f"{count} of {name}.json, the first of token {first.token}, not of unit length: taken and written as "
+            "the unit quaternion of the same direction."
+        )
+    return sentences
 
 
 def _mended_links(dataset: Dataset) -> list[str]:

@@ -37,6 +37,7 @@ def training_notes(plan: Plan) -> str:
         ]
     lines += [
         "- Black pixels were seen by no source camera"
+        + (", or are not common to the fleet" if plan.common else "")
         + ("." if plan.options.masks == "none" else "; `masks/` says which (non-zero = seen)."),
         *_common(plan),
         *(

@@ -16,8 +16,8 @@ from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse, rotations_from_quaternions
 from unidrive_cli.geometry.projection_error import Indices, Sighting, sight
 from unidrive_cli.tables.dataset import Dataset
-from unidrive_cli.tables.moments import cameras_of, reference_of, seen_from
-from unidrive_cli.tables.rig_of_dataset import SizeOfFile, lens_and_pose, picture_size_of
+from unidrive_cli.tables.moments import cameras_of, lens_and_pose, reference_of, seen_from
+from unidrive_cli.tables.rig_of_dataset import SizeOfFile, picture_size_of
 from unidrive_cli.tables.schema import Sample, SampleData
 
 CORNERS = 8

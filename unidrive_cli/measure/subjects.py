@@ -112,6 +112,12 @@ class ConvertedPictures:
             row = rows.get(camera.channel)
             if row is None:
                 place = self.dataset.sample.place(sample, "token")
+                if self._options.low_coverage == "drop-picture":
+                    raise DatasetError(
+                        f"the sample has no picture of {camera.channel}: --low-coverage drop-picture left it out.",
+                        where=place,
+                        hint="Measure the source with --rig.",
+                    )
                 raise DatasetError(f"the sample has no picture of {camera.channel}.", where=place)
             size = camera.lens.width_px, camera.lens.height_px
             mask = camera_mask_name(camera.channel) if self._options.masks == "camera" else mask_name(row.filename)

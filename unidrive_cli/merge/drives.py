@@ -14,7 +14,7 @@ from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.merge.inputs import Input
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.paths import check_filename
-from unidrive_cli.tables.schema import Row, SampleData
+from unidrive_cli.tables.schema import Row, SampleData, Whole
 from unidrive_cli.tables.table import Table
 from unidrive_cli.tables.tokens import Hashes, short_hashes
 
@@ -29,8 +29,8 @@ class DataPart(Row, frozen=True, gc=False):
     calibrated_sensor_token: str
     is_key_frame: bool
     filename: str
-    width: int | None = None
-    height: int | None = None
+    width: Whole | None = None
+    height: Whole | None = None
     info_filename: str | None = None
 
     @property

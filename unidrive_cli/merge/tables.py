@@ -42,15 +42,16 @@ class MergedTables:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        for name, file in self._files.items():
+        try:
             if kind is None:
-                file.close()
-                self.counts[name] = file.count
-            else:
+                for name, file in self._files.items():
+                    file.close()
+                    self.counts[name] = file.count
+                for name, rows in self._plan.united.items():
+                    self.counts[name] = write_rows(self._folder / f"{name}.json", rows)
+        finally:
+            for file in self._files.values():
                 file.abandon()
-        if kind is None:
-            for name, rows in self._plan.united.items():
-                self.counts[name] = write_rows(self._folder / f"{name}.json", rows)
 
     def add(self, part: Part, dataset: Dataset) -> None:
         """Writes the rows of a dataset that are not united.

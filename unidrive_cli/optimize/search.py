@@ -77,7 +77,7 @@ class Search:
         """
         self._space, self._objective, self._effort, self._jobs = space, objective, effort, jobs
         self._low = np.array([parameter.low for parameter in space.parameters])
-        self._range = np.array([parameter.high for parameter in space.parameters]) - self._low
+        self._range = np.array([parameter.highest for parameter in space.parameters]) - self._low
         self._steps = np.array([parameter.step for parameter in space.parameters]) / self._range
         self._random = np.random.default_rng(effort.seed)
         self._known: dict[bytes, float] = {}
@@ -99,6 +99,11 @@ class Search:
             RigError, GeometryError: the space holds a rig that cannot be.
         """
         recorded = _read_log(log, identity) if resume else []
+        if sum(map(len, recorded[:-1])) >= self._effort.evaluations:
+            raise UsageError(
+                f"{log} holds {sum(map(len, recorded)):,} candidates; {self._effort.evaluations:,} would be fewer.",
+                hint="Ask for as many, or more.",
+            )
         self._total = self._total_of(self._values)
         yield self._best
         lines = [{"search": identity}, *recorded]

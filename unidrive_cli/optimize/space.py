@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,6 +46,14 @@ class Parameter:
     high: float
     step: float
     relative: bool = False
+
+    @property
+    def highest(self) -> float:
+        """The upper bound, or the last step below it."""
+        if not self.step:
+            return self.high
+        steps = math.floor((self.high - self.low) / self.step + 1e-9)
+        return round(self.low + steps * self.step, _GRID_DIGITS)
 
     @property
     def name(self) -> str:
@@ -168,7 +177,7 @@ class SearchSpace:
 
     def on_grid(self, values: Float) -> Float:
         """`values` (n,) without the dust of floating point, inside the bounds."""
-        low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
+        low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "highest"))
         clean: Float = np.clip(np.round(values, _GRID_DIGITS), low, high) + 0.0
         return clean
 

@@ -33,12 +33,12 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise RigError(f"cannot be read: {error.strerror}.", where=str(path)) from error
     if len(data) > MAX_FILE_BYTES:
-        raise RigError(f"is larger than {MAX_FILE_BYTES} bytes; that is no rig file.", where=str(path))
+        raise RigError(f"is larger than {MAX_FILE_BYTES} bytes; no such file is.", where=str(path))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RigError(
-            f"is not UTF-8 text (byte {error.start}); a YAML rig file was expected.", where=str(path)
+            f"is not UTF-8 text (byte {error.start}); a YAML file was expected.", where=str(path)
         ) from error
 
 
@@ -62,14 +62,14 @@ def parse_yaml(text: str, source: str) -> Any:
             raise RigError(what, where=place) from error
         raise RigError(f"is not valid YAML: {problem}.", where=place) from error
     except (ValueError, RecursionError, AttributeError, TypeError, LookupError) as error:
-        raise RigError("is not valid YAML for a rig.", where=source) from error
+        raise RigError("is not valid YAML.", where=source) from error
 
 
 def check_keys(mapping: CommentedMap, known: Iterable[str], needed: Iterable[str], where: str) -> None:
     """Refuses unknown and missing keys, and YAML tags."""
     known = tuple(known)
     if mapping.tag.value not in (None, "tag:yaml.org,2002:map"):
-        raise RigError(f"holds the tag {mapping.tag.value}; a rig file has none.", where=where)
+        raise RigError(f"holds the tag {mapping.tag.value}; none is expected.", where=where)
     for key in mapping:
         if key not in known:
             guess = did_you_mean(str(key), known) or f"Known keys are {', '.join(known)}."

@@ -173,9 +173,9 @@ def synthesise(
         CheckError: the verification failed.
     """
     root = resolved_destination(root)
-    places = {rig.digest: plan.place(root, rig) for rig in plan.rigs}
+    places = {rig.name: plan.place(root, rig) for rig in plan.rigs}
     same = {
-        rig.digest: check_destination(places[rig.digest], plan.identity(rig), force=force, provenance=PROVENANCE)
+        rig.name: check_destination(places[rig.name], plan.identity(rig), force=force, provenance=PROVENANCE)
         for rig in plan.rigs
     }
     started = time.monotonic()
@@ -183,14 +183,14 @@ def synthesise(
     with contextlib.ExitStack() as stack:
         targets = []
         for rig in plan.rigs:
-            place = places[rig.digest]
+            place = places[rig.name]
             stack.enter_context(held(place))
             destination = Destination(place, provenance=PROVENANCE)
-            if same[rig.digest] and not force and destination.finished:
+            if same[rig.name] and not force and destination.finished:
                 sweep(destination, keep_work=False)
                 summaries.append(_finished_summary(destination))
                 continue
-            begun = begin(place, plan.identity(rig), same=same[rig.digest], force=force, provenance=PROVENANCE)
+            begun = begin(place, plan.identity(rig), same=same[rig.name], force=force, provenance=PROVENANCE)
             targets.append(Target(rig, begun))
         try:
             if targets:

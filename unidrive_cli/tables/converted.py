@@ -23,6 +23,7 @@ class ConversionOptions(msgspec.Struct, frozen=True):
     ego_motion: bool
     cameras: list[str]
     masks: Literal["frame", "camera", "none"]
+    low_coverage: str = "keep"
 
 
 class SourceTables(msgspec.Struct, frozen=True):

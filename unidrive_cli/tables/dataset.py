@@ -415,6 +415,11 @@ def version_folder(root: Path, version: str | None, layout: Layout | None = None
         found = [below for folder in folders for below in _folders(folder) if is_version_folder(below)]
     if layout and len(found) > 1:
         found = [folder for folder in found if layout.is_at(folder)] or found
+    parents = {folder.parent for folder in found}
+    if len(parents) > 1:
+        names = ", ".join(sorted(folder.relative_to(root).as_posix() for folder in parents))
+        one = min(parents)
+        raise UsageError(f"{root} holds {len(parents)} datasets: {names}.", hint=f"Give the folder of one: {one}.")
     if version is not None:
         match = next((folder for folder in found if folder.name == version), None)
         if match is None:

@@ -7,7 +7,6 @@ from unidrive_cli.geometry.arrays import Float
 from unidrive_cli.geometry.lenses import Lens
 from unidrive_cli.geometry.poses import inverse, relative
 from unidrive_cli.tables.dataset import LIDAR_REFERENCE, Dataset
-from unidrive_cli.tables.rig_of_dataset import lens_and_pose
 from unidrive_cli.tables.schema import Sample, SampleData
 
 
@@ -43,6 +42,18 @@ def cameras_of(dataset: Dataset, sample: Sample, reference: SampleData) -> dict[
         if other is None or abs(row.timestamp - reference.timestamp) < abs(other.timestamp - reference.timestamp):
             chosen[sensor.channel] = row
     return {channel: chosen[channel] for channel in sorted(chosen)}
+
+
+def lens_and_pose(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> tuple[Lens, Float]:
+    """Lens, and `ego_from_cam` (4, 4), of the camera that took a picture of (width, height) pixels.
+
+    Raises:
+        DatasetError: dangling tokens, or numbers that are no camera.
+    """
+    calibration = dataset.calibrated_sensor.get(
+        row.calibrated_sensor_token, dataset.sample_data.place(row, "calibrated_sensor_token")
+    )
+    return dataset.lens(calibration, *size_px), dataset.ego_from_sensor(calibration)
 
 
 def lens_and_cam_from_ego(

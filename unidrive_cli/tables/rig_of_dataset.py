@@ -7,9 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from unidrive_cli.errors import DatasetError, GeometryError, RigError, UnidriveError, UsageError
-from unidrive_cli.geometry.arrays import Float
-from unidrive_cli.geometry.lenses import Lens
+from unidrive_cli.errors import DatasetError, GeometryError, PictureError, RigError, UnidriveError, UsageError
 from unidrive_cli.rig.fleet import Fleet, is_fleet_file, load_fleet
 from unidrive_cli.rig.gallery import gallery_names, load_gallery_rig
 from unidrive_cli.rig.model import Camera, Rig
@@ -17,19 +15,8 @@ from unidrive_cli.rig.yaml_file import load_rig
 from unidrive_cli.tables.dataset import Dataset, is_version_folder, open_dataset
 from unidrive_cli.tables.layouts.known import layout_named
 from unidrive_cli.tables.lenses import GivenLens
+from unidrive_cli.tables.moments import cameras_of, lens_and_pose, reference_of
 from unidrive_cli.tables.schema import CalibratedSensor, SampleData
-
-
-def lens_and_pose(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> tuple[Lens, Float]:
-    """Lens, and `ego_from_cam` (4, 4), of the camera that took a picture of (width, height) pixels.
-
-    Raises:
-        DatasetError: dangling tokens, or numbers that are no camera.
-    """
-    calibration = dataset.calibrated_sensor.get(
-        row.calibrated_sensor_token, dataset.sample_data.place(row, "calibrated_sensor_token")
-    )
-    return dataset.lens(calibration, *size_px), dataset.ego_from_sensor(calibration)
 
 
 def camera_of(dataset: Dataset, row: SampleData, size_px: tuple[int, int]) -> Camera:
@@ -77,40 +64,51 @@ def rig_of_dataset(
 
     Raises:
         DatasetError: no camera pictures, a picture without a size, or broken calibrations.
+        PictureError: no sample whose pictures all say their size.
         UsageError: an unknown scene.
     """
     calibrations = dataset.calibrated_sensor.by_token
     contents: dict[str, str] = {}
     rigs: Counter[tuple[tuple[str, str, int, int], ...]] = Counter()
     example: dict[tuple[tuple[str, str, int, int], ...], list[SampleData]] = {}
+    without_size: list[PictureError] = []
     for scene in dataset.scenes_named(scenes):
         for sample in dataset.samples_of_scene[scene.token]:
+            if sample.token not in dataset.keyframes:
+                continue
+            rows = cameras_of(dataset, sample, reference_of(dataset, sample))
             entries = []
-            for row in dataset.keyframes.get(sample.token, []):
-                sensor = dataset.sensor_of(row)
-                if sensor.modality != "camera":
-                    continue
-                width, height = picture_size_of(dataset, row, size_of_file)
-                if row.calibrated_sensor_token not in contents:
-                    contents[row.calibrated_sensor_token] = _content(calibrations[row.calibrated_sensor_token])
-                entries.append((sensor.channel, contents[row.calibrated_sensor_token], width, height, row))
+            try:
+                for channel, row in rows.items():
+                    size = picture_size_of(dataset, row, size_of_file)
+                    if row.calibrated_sensor_token not in contents:
+                        contents[row.calibrated_sensor_token] = _content(calibrations[row.calibrated_sensor_token])
+                    entries.append((channel, contents[row.calibrated_sensor_token], *size))
+            except PictureError as error:
+                without_size.append(error)
+                continue
             if entries:
-                entries.sort(key=lambda entry: entry[0])
-                key = tuple(entry[:4] for entry in entries)
-                rigs[key] += 1
-                example.setdefault(key, [entry[4] for entry in entries])
+                rigs[tuple(entries)] += 1
+                example.setdefault(tuple(entries), list(rows.values()))
     if not rigs:
+        if without_size:
+            raise without_size[0]
         raise DatasetError("holds no camera key frames, so it has no rig.", where=str(dataset.folder))
     (key, count), *others = rigs.most_common()
     order = {channel: index for index, channel in enumerate(dataset.camera_channels())}
-    rows = sorted(example[key], key=lambda row: order[dataset.sensor_of(row).channel])
-    cameras = tuple(camera_of(dataset, row, picture_size_of(dataset, row, size_of_file)) for row in rows)
+    taken = sorted(example[key], key=lambda row: order[dataset.sensor_of(row).channel])
+    cameras = tuple(camera_of(dataset, row, picture_size_of(dataset, row, size_of_file)) for row in taken)
     notes = []
     if others:
         total = sum(rigs.values())
         notes.append(
             f"{dataset.folder} holds {len(rigs)} different calibrations; the most frequent one is taken "
             f"({count} of {total} samples)."
+        )
+    if without_size:
+        notes.append(
+            f"{len(without_size)} samples of {dataset.folder} are not counted: a picture has no size in the table "
+            "and cannot be read."
         )
     name = dataset.root.resolve().name.encode(errors="replace").decode()
     return Rig(name, f"the calibrated cameras of {dataset.version}", cameras), notes
@@ -139,13 +137,16 @@ def open_named(
     """
     if layout is not None:
         layout_named(layout)  # an unknown one is no matter of version folders
-    if version is None and folder.is_dir() and is_version_folder(folder):
-        folder = folder.resolve()
-        folder, version = folder.parent, folder.name
+    try:
+        if version is None and folder.is_dir() and is_version_folder(folder):
+            folder = folder.resolve()
+            folder, version = folder.parent, folder.name
+    except OSError as error:
+        raise DatasetError(f"cannot be read: {error.strerror}.", where=str(folder)) from error
     try:
         return open_dataset(folder, version, layout=layout, lenses=lenses)
     except UsageError as error:
-        if version is not None:
+        if version is not None or "--version" not in error.hint:
             raise
         hint = f"Name one of them: {folder}/<version folder>."
         raise UsageError(error.what, where=error.where, hint=hint) from error

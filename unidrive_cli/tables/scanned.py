@@ -44,6 +44,7 @@ SCANNED = ("sample_data", "ego_pose", "sample_annotation")
 _PIECE_BYTES = 4 << 20
 _HASHED_BYTES = 32 << 20
 _PIECE_ROWS = 1 << 14
+_EDGE_BYTES = 64
 _MANY = 1 << 17
 """So many tokens are looked up in order, so that neighbouring questions have neighbouring answers."""
 _FOLDER = """
@@ -96,7 +97,8 @@ class ScannedTable(Table[R]):
     """A table of which DuckDB holds the columns, with tokens as 64-bit hashes that are unique in it.
 
     A row is decoded, and checked field by field, when it is asked for; of the others it is known that they are
-    JSON objects with all fields that the schema wants or that are ASKED_FOR, of which the numbers are numbers.
+    JSON objects with all fields that the schema wants or that are ASKED_FOR, of values that DuckDB can turn into
+    what the schema wants.
     """
 
     def __init__(self, store: _Store, name: str, file: _File) -> None:
@@ -226,7 +228,7 @@ class _File:
     Attributes:
         path: the file.
         size_bytes: its size.
-        row_count: how many rows it can have; -1 where that is not to be told from its braces.
+        row_count: how many rows it can have; -1 where that is not to be told from its braces, or it is no list.
     """
 
     def __init__(self, path: Path) -> None:
@@ -249,7 +251,14 @@ class _File:
         self.size_bytes = at
         self._begins, self._ends = np.concatenate(begins), np.concatenate(ends)
         self._are_separated = np.concatenate(are_separated)
-        self.row_count = len(self._begins) if len(self._begins) == len(self._ends) else -1
+        are_pairs = len(self._begins) == len(self._ends)
+        self.row_count = len(self._begins) if are_pairs and self._is_list() else -1
+
+    def _is_list(self) -> bool:
+        """Whether it begins and ends as a list; DuckDB also reads one that is cut off after a comma, or empty."""
+        begin = self._read(0, min(_EDGE_BYTES, self.size_bytes))
+        end = self._read(max(0, self.size_bytes - _EDGE_BYTES), self.size_bytes)
+        return begin.lstrip().startswith(b"[") and end.rstrip().endswith(b"]")
 
     def hash(self) -> None:
         """Makes the digest, or what is raised for it."""

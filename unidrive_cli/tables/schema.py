@@ -6,13 +6,15 @@ Field names and meanings are those of the nuScenes schema.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-Timestamp = int | float
+Whole = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
+"""A whole number that NumPy and DuckDB can hold."""
+Timestamp = Whole | float
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -65,14 +67,14 @@ class SampleData(Row, frozen=True, gc=False):
     filename: str
     prev: str
     next: str
-    width: int | None = None
-    height: int | None = None
+    width: Whole | None = None
+    height: Whole | None = None
 
 
 class Scene(Row, frozen=True, gc=False):
     name: str
     log_token: str
-    nbr_samples: int
+    nbr_samples: Whole
     first_sample_token: str
     last_sample_token: str
 
@@ -89,13 +91,13 @@ class SampleAnnotation(Row, frozen=True, gc=False):
     next: str = ""
     visibility_token: str | None = ""
     attribute_tokens: list[str] = []
-    num_lidar_pts: int = 0
-    num_radar_pts: int = 0
+    num_lidar_pts: Whole = 0
+    num_radar_pts: Whole = 0
 
 
 class Instance(Row, frozen=True, gc=False):
     category_token: str
-    nbr_annotations: int = 0
+    nbr_annotations: Whole = 0
     first_annotation_token: str = ""
     last_annotation_token: str = ""
 

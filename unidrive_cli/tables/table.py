@@ -45,6 +45,7 @@ _TEXTS_OF_FIELDS = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _ROWS_A_WRITE = 4096
 _BUFFER_BYTES = 4 << 20
 _AGAIN = "Unpack or copy the table again."
+_NON_FINITE = "is NaN or infinite; a finite number was expected."
 
 
 class Table(ABC, Generic[R]):
@@ -324,8 +325,9 @@ class RowsFile:
         self._temporary.replace(self._path)
 
     def abandon(self) -> None:
-        """Closes what will not be brought to its place."""
-        self._stream.close()
+        """Closes what will not be brought to its place; a disk that is full by then is no news."""
+        with contextlib.suppress(OSError):
+            self._stream.close()
 
 
 def write_rows(path: Path, rows: RawRows) -> int:
@@ -377,7 +379,10 @@ def bad_row(text: RawRow, index: int, file: str, message: str) -> DatasetError:
     """The error for a row that could not be decoded: its token and field from msgspec's message."""
     where = f"{file}, row {index}"
     with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-        where += f", token {json.loads(bytes(text))['token']}"
+        row = json.loads(bytes(text))
+        where += f", token {row['token']}"
+        for path in _non_finite(row):
+            return DatasetError(_NON_FINITE, where=f"{where}, field {path}")
     match = re.fullmatch(r"(?P<what>.*?)(?: - at `\$\.?(?P<field>.*?)`)?", message, re.DOTALL)
     what, field = (match["what"], match["field"]) if match else (message, None)
     missing = re.fullmatch(r"Object missing required field `(.*)`", what)
@@ -396,10 +401,7 @@ def _malformed(data: bytes, file: str, message: str) -> DatasetError:
     for index, row in enumerate(rows if isinstance(rows, list) else []):
         for path in _non_finite(row):
             token = row.get("token") if isinstance(row, dict) else None
-            return DatasetError(
-                "is NaN or infinite; a finite number was expected.",
-                where=f"{file}, row {index}, token {token}, field {path}",
-            )
+            return DatasetError(_NON_FINITE, where=f"{file}, row {index}, token {token}, field {path}")
     if "truncated" in message:
         message = f"the file ends in the middle after {len(data)} bytes: it was truncated"
     return DatasetError(f"is not valid JSON: {_decapitalised(message)}.", where=file, hint=_AGAIN)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from unidrive_cli.errors import OutputError
 from unidrive_cli.tables.dataset import Dataset
 from unidrive_cli.tables.devkit import check_devkit
 from unidrive_cli.tables.schema import Scene
@@ -46,6 +47,9 @@ def thinned(dataset: Dataset, scenes: Sequence[Scene]) -> Iterator[tuple[Path, i
     """The scenes as a dataset in a temporary folder, its files links; and the number of its annotations.
 
     The extra tables are left out.
+
+    Raises:
+        OutputError: the temporary folder cannot be written.
     """
     tokens = {scene.token for scene in scenes}
     samples = np.array([row.scene_token in tokens for row in dataset.sample.rows], dtype=bool)
@@ -55,24 +59,34 @@ def thinned(dataset: Dataset, scenes: Sequence[Scene]) -> Iterator[tuple[Path, i
     poses[dataset.sample_data.links("ego_pose_token", dataset.ego_pose)[rows]] = True
     instances = dict(mended_instances(dataset, annotations))
     linked = {"sample": samples, "sample_data": rows, "sample_annotation": annotations}
-    with tempfile.TemporaryDirectory(prefix="unidrive-") as temporary:
-        root = Path(temporary)
-        for entry in dataset.root.resolve().iterdir():
-            if entry.name != dataset.version:
-                (root / entry.name).symlink_to(entry)
-        folder = root / dataset.version
-        folder.mkdir()
-        tables: dict[str, RawRows] = {
-            "scene": (
-                raw for row, raw in zip(dataset.scene.rows, dataset.scene.raw, strict=True) if row.token in tokens
-            ),
-            "ego_pose": dataset.ego_pose.runs(np.flatnonzero(poses), {}),
-            "instance": dataset.instance.runs(np.array(list(instances), dtype=np.int64), instances),
-            **{name: getattr(dataset, name).raw for name in WHOLE},
-        }
-        for name, kept in linked.items():
-            table = getattr(dataset, name)
-            tables[name] = table.runs(np.flatnonzero(kept), mended_links(table, kept))
-        for name, texts in tables.items():
-            write_rows(folder / f"{name}.json", texts)
+    with contextlib.ExitStack() as stack:
+        try:
+            root = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="unidrive-")))
+            for entry in dataset.root.resolve().iterdir():
+                if entry.name != dataset.version:
+                    (root / entry.name).symlink_to(entry)
+            folder = root / dataset.version
+            folder.mkdir()
+            tables: dict[str, RawRows] = {
+                "scene": (
+                    raw
+                    for row, raw in zip(dataset.scene.rows, dataset.scene.raw, strict=True)
+                    if row.token in tokens
+                ),
+                "ego_pose": dataset.ego_pose.runs(np.flatnonzero(poses), {}),
+                "instance": dataset.instance.runs(np.array(list(instances), dtype=np.int64), instances),
+                **{name: getattr(dataset, name).raw for name in WHOLE},
+            }
+            for name, kept in linked.items():
+                table = getattr(dataset, name)
+                tables[name] = table.runs(np.flatnonzero(kept), mended_links(table, kept))
+            for name, texts in tables.items():
+                write_rows(folder / f"{name}.json", texts)
+        except OSError as error:
+            raise OutputError(
+                f"the tables of {len(scenes)} scenes, which nuscenes-devkit is to open, cannot be written: "
+                f"{error.strerror}.",
+                where=tempfile.tempdir or "the folder for temporary files",
+                hint="Set TMPDIR to a folder with more room.",
+            ) from error
         yield root, int(np.count_nonzero(annotations))

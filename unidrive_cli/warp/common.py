@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from unidrive_cli.errors import UsageError
-from unidrive_cli.geometry.arrays import Bool, Float
+from unidrive_cli.geometry.arrays import Bool
 from unidrive_cli.geometry.poses import inverse
 from unidrive_cli.rig.model import Rig
 from unidrive_cli.warp.own_car import hidden_of
@@ -151,7 +151,10 @@ def covered_share(view: VirtualView, sources: Sequence[Source], common: Mask | N
     )
     seen: Bool = np.zeros((len(rows), len(columns)), dtype=bool)
     for source in sources:
-        seen |= source.lens.project(view.points(source.cam_from_ego, rows, columns))[1]
+        pixels, valid = source.lens.project(view.points(source.cam_from_ego, rows, columns))
+        if source.own_car:
+            valid = valid & ~hidden_of(source.own_car, 1.0).holds(np.where(valid[..., None], pixels, 0))
+        seen |= valid
     if common is not None:
         seen &= common[np.ix_(rows, columns)] > 0
     return float(seen.mean())
@@ -204,9 +207,5 @@ def _filled(view: VirtualView, rig: Rig, sweep_m: float) -> Bool:
 def _seen_from_all(view: VirtualView, ends: Sequence[Source], box: tuple[slice, slice]) -> Bool:
     seen: Bool = np.ones((box[0].stop - box[0].start, box[1].stop - box[1].start), dtype=bool)
     for end in ends:
-        points: Float = view.points(end.cam_from_ego, *box)
-        pixels, valid = end.lens.project(points)
-        seen &= valid
-        if end.own_car:
-            seen &= ~hidden_of(end.own_car, 1.0).holds(np.where(valid[..., None], pixels, 0))
+        seen &= end.lens.project(view.points(end.cam_from_ego, *box))[1]
     return seen
