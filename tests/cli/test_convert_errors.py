@@ -1435,3 +1435,11 @@ def test_a_folder_of_several_datasets(bench: Bench) -> None:
         shutil.copytree(bench.src, cars / name)
     for options in ((), ("--version", VERSION), ("--version", f"van/{VERSION}")):
         bench.refused(2, "holds 2 datasets: sedan, van. Give the folder of one: ", src=cars, options=options)
+
+
+def test_a_dry_run_sees_that_nothing_could_be_written(bench: Bench, locked: Path) -> None:
+    locked.chmod(0o555)
+    command = ("convert", bench.src, locked / "dst", "--rig", bench.rig, "--jobs", 0, "--dry-run")
+    run = spawn(*command, prefix=without_capabilities())
+    assert run.code == 4
+    assert "locked/dst: cannot be written: Permission denied." in run.said

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.datasets import SMALL_RIG, VERSION, paint, rows, tree, unidrive
+from tests.datasets import SMALL_RIG, VERSION, Bench, paint, rows, tree, unidrive
 from tests.painted import nuscenes_like_cameras
 from unidrive_cli.rig.gallery import gallery_names
 

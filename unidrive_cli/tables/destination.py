@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import hashlib
 import json
@@ -177,11 +178,15 @@ def check_destination(root: Path, identity: dict[str, Any], *, force: bool, prov
         provenance: name of the file that says how a finished dataset was made.
 
     Raises:
-        OutputError: DST is a file, or a folder of somebody else's.
+        OutputError: DST is a file, a folder of somebody else's, or cannot be made.
         UsageError: DST holds a dataset of ours with other options, and `force` is not given.
     """
     try:
         if not root.exists():
+            existing = _existing(root)
+            if not os.access(existing, os.W_OK | os.X_OK):
+                code = errno.EROFS if os.statvfs(existing).f_flag & os.ST_RDONLY else errno.EACCES
+                raise OutputError(f"cannot be written: {os.strerror(code)}.", where=str(root))
             return False
         if not root.is_dir():
             raise OutputError("is a file; a folder was expected.", where=str(root))
