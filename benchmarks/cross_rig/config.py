@@ -33,7 +33,6 @@ class Setting:
     Attributes:
         virtual: a shipped virtual rig; the pictures stay as they are where it is empty.
         depth_limit_m: D0; the rig's own default where None.
-        height_px: of the virtual pictures, with the same lenses; the rig's own shape where None.
         common: black what not all of the paper's rigs fill (`--common-with`).
         veiled: the detector learns from pictures in which what one of the paper's rigs does not fill is black, each
             time another one's; it is tested on the same pictures as without.
@@ -42,7 +41,6 @@ class Setting:
     name: str
     virtual: str = ""
     depth_limit_m: float | None = None
-    height_px: int | None = None
     common: bool = False
     blend: str = "angular"
     veiled: bool = False
@@ -60,7 +58,7 @@ COMMON = replace(OPTIMISED, name="optimised-common", common=True)
 FLEET = Setting("fleet", "unidrive-fleet-6")
 FLEET_COMMON = replace(FLEET, name="fleet-common", common=True)
 MAIN = (RAW, INTUITIVE, FLEET, FLEET_COMMON)
-FLAT = replace(INTUITIVE, name="intuitive-flat", depth_limit_m=54.0, height_px=116)
+FLAT = Setting("intuitive-flat", "intuitive-flat-6")
 """The intuitive rig with the shape and D0 that the search for the fleet rig found; only the places are its own."""
 FLAT_COMMON = replace(FLAT, name="intuitive-flat-common", common=True)
 VEILED = replace(OPTIMISED, name="optimised-veiled", veiled=True)

@@ -41,21 +41,9 @@ def small_rig(name: str) -> Rig:
     return replace(rig, name=name, cameras=tuple(cameras))
 
 
-def virtual_rig(setting: Setting) -> Rig:
-    """The virtual rig of a setting with pictures of the benchmark's width."""
-    rig = small_rig(setting.virtual)
-    if setting.height_px is None:
-        return rig
-    cameras = [
-        replace(camera, lens=Pinhole.from_hfov(camera.lens.hfov_deg, PICTURE[0], setting.height_px))
-        for camera in rig.cameras
-    ]
-    return replace(rig, cameras=tuple(cameras))
-
-
 def coverage(setting: Setting) -> tuple[Bool, ...]:
     """What each of the paper's rigs fills of the virtual pictures: (C, H, W), cameras ordered by their names."""
-    virtual = virtual_rig(setting)
+    virtual = small_rig(setting.virtual)
     order = np.argsort(virtual.channels)
     views = virtual_views(virtual, _depth_limit_m(setting, virtual), 0.0)
     return tuple(np.stack(common_masks(views, [small_rig(rig)], 0.0).masks())[order] > 0 for rig in PAPER_RIGS)
@@ -91,7 +79,7 @@ def render(folder: Path, drive: Drive, rigs: tuple[str, ...], jobs: int) -> None
 def convert_drive(folder: Path, drive: Drive, setting: Setting, rig: str) -> str:
     """One dataset through one virtual rig, verified, in this process; says what was done."""
     done = converted(folder, drive, setting, rig)
-    virtual = virtual_rig(setting)
+    virtual = small_rig(setting.virtual)
     options = Options(depth_limit_m=_depth_limit_m(setting, virtual), blend=setting.blend)  # type: ignore[arg-type]
     common = Common(tuple(map(small_rig, PAPER_RIGS)), sweep_m=0.0) if setting.common else None
     convert(make_plan(open_dataset(rendered(folder, drive, rig)), virtual, options, common), done)

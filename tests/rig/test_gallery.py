@@ -76,12 +76,16 @@ def cameras_of(rig: Rig, height_px: int = 900) -> dict:
     return {camera.channel: camera for camera in rig.cameras}
 
 
+FLAT_AND_NOT = (("intuitive-6", 900), ("intuitive-flat-6", 580))
+
+
 def test_the_gallery_is_complete() -> None:
     ours = {
         "nuscenes-like",
         "roof-6x70",
         "unidrive-released-6x60",
         "intuitive-6",
+        "intuitive-flat-6",
         "unidrive-optimised-6",
         "unidrive-fleet-6",
     }
@@ -93,6 +97,15 @@ def test_all_cameras_of_the_intuitive_rig_stand_at_the_centre_of_the_roof() -> N
     assert {camera.channel for camera in cameras.values()} == set(cameras_of(load_gallery_rig("roof-6x70")))
     for camera in cameras.values():
         np.testing.assert_allclose(camera.centre_ego, [1.3, 0, 1.6])
+
+
+def test_the_flat_intuitive_rig_differs_in_shape_alone() -> None:
+    plain, flat = (cameras_of(load_gallery_rig(name), px) for name, px in FLAT_AND_NOT)
+    assert plain.keys() == flat.keys()
+    for channel, camera in plain.items():
+        np.testing.assert_array_equal(camera.ego_from_cam, flat[channel].ego_from_cam)
+        assert camera.lens.hfov_deg == pytest.approx(flat[channel].lens.hfov_deg)
+    assert load_gallery_rig("intuitive-flat-6").depth_limit_m == load_gallery_rig("unidrive-fleet-6").depth_limit_m
 
 
 @pytest.mark.parametrize(("name", "height_px"), [("unidrive-optimised-6", 900), ("unidrive-fleet-6", 580)])
