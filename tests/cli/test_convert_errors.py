@@ -1414,10 +1414,9 @@ def test_rotations_that_are_no_unit_quaternions(
         monkeypatch.setattr(dataset_module, "LARGE_BYTES", 0)
     run = bench.converted()
     for table in ("ego_pose", "calibrated_sensor", "sample_annotation"):
-        assert (
-            f"rotations of {table}.json, the first of token {rows(bench.src, table)[0]['token']}, not of"
-            in run.stdout
-        )
+        found = rows(bench.src, table)
+        words = f"{table}.json that are not of unit length: {len(found)}, the first of token {found[0]['token']}."
+        assert words in run.stdout
     assert unidrive("validate", bench.dst).code == 0
     for picture in (bench.folder / "before" / "samples").rglob("*.jpg"):
         assert picture.read_bytes() == (bench.dst / picture.relative_to(bench.folder / "before")).read_bytes()

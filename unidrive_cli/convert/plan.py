@@ -349,10 +349,9 @@ def _scaled(dataset: Dataset, rotations: Rotations) -> list[str]:
     sentences = []
     for name, of_rows in rotations.items():
         (first,) = getattr(dataset, name).rows_at(np.array([min(of_rows)]))
-        count = "1 rotation" if len(of_rows) == 1 else f"{len(of_rows):,} rotations"
         sentences.append(
-            f"{count} of {name}.json, the first of token {first.token}, not of unit length: taken and written as "
-            "the unit quaternion of the same direction."
+            f"Rotations of {name}.json that are not of unit length: {len(of_rows):,}, the first of token "
+            f"{first.token}. Each is taken, and written, as the unit quaternion of its direction."
         )
     return sentences
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from unidrive_cli.errors import DatasetError
@@ -66,7 +65,7 @@ class Drive:
 
 def parts_of(table: Table[SampleData]) -> Iterator[DataPart]:
     """The rows of sample_data, of which only what merging looks at is read."""
-    return map(msgspec.json.Decoder(DataPart).decode, table.raw)
+    return table.parts_at(np.arange(len(table.rows)), DataPart)
 
 
 def drive_of(source: Input, dataset: Dataset) -> Drive:

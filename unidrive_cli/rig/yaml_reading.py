@@ -33,7 +33,7 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise RigError(f"cannot be read: {error.strerror}.", where=str(path)) from error
     if len(data) > MAX_FILE_BYTES:
-        raise RigError(f"is larger than {MAX_FILE_BYTES} bytes; no such file is.", where=str(path))
+        raise RigError(f"is larger than {MAX_FILE_BYTES} bytes, which no file of this kind is.", where=str(path))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
