@@ -146,6 +146,7 @@ def test_one_scene_in_the_config_file_is_taken_or_a_list_is_asked_for(bench: Ben
         ("blend: best", ("blend", "angular", "nearest")),
         ("- quality", ("config.yaml", "must be a mapping")),
         ("quality: [", ("config.yaml", "cannot be read")),
+        ("quality: 1\nquality: 2", ("config.yaml, line 2", 'duplicate key "quality"')),
     ],
 )
 def test_a_mistake_in_the_config_file(bench: Bench, text: str, words: tuple[str, ...]) -> None:
@@ -524,3 +525,9 @@ def test_where_things_lie_changes_no_byte(bench: Bench, default: Path, monkeypat
 
 def test_verify_full_decodes_every_picture(bench: Bench) -> None:
     assert bench.converted("--verify", "full", "--json").json()["verified"]["pictures_decoded"] == 8
+
+
+def test_an_empty_config_file_changes_nothing(bench: Bench) -> None:
+    config = bench.folder / "config.yaml"
+    config.write_text("# quality: 90\n")
+    assert bench.convert("--jobs", 0, "--dry-run", "--config", config).code == 0

@@ -44,7 +44,9 @@ def optimize_rig_command(
     max_boxes: int = option(10_000, "--max-boxes", help="Boxes per dataset, drawn at random where it has more."),
     seed: int = option(0, "--seed", help="Another seed, another course."),
     evaluations: int | None = option(
-        None, "--evaluations", help="Candidates in all (default: the search file's, or 4000)."
+        None,
+        "--evaluations",
+        help="Candidates in all, the last generation whole (default: the search file's, or 4000).",
     ),
     resume: bool = option(False, "--resume", help="Continue the search whose log lies beside --out."),
     force: bool = option(False, "--force", help="Replace --out."),

@@ -127,17 +127,20 @@ def read_config(context: typer.Context, path: Path | None) -> Path | None:
         try:
             values = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, YAMLError, ValueError, RecursionError) as error:
-            raise UsageError(f"--config cannot be read: {str(error).splitlines()[0]}.", where=str(path)) from error
+            what = getattr(error, "strerror", None) or getattr(error, "problem", None) or str(error).splitlines()[0]
+            mark = getattr(error, "problem_mark", None)
+            where = f"{path}, line {mark.line + 1}" if mark else str(path)
+            raise UsageError(f"--config cannot be read: {what}.", where=where) from error
         known = {
             name.lstrip("-"): parameter
             for parameter in context.command.params
             for name in parameter.opts
             if name.startswith("--") and name not in ("--config", "--help")
         }
-        if not isinstance(values, dict):
+        if not isinstance(values, dict | None):
             raise UsageError("--config must be a mapping of option names to values.", where=str(path))
         defaults = {}
-        for key, value in values.items():
+        for key, value in (values or {}).items():
             name = str(key).replace("_", "-")
             if name not in known:
                 sentence = f"{key} is not an option of {context.command.name}."
