@@ -476,6 +476,8 @@ class _Tokens:
 
     def are_missing(self, wanted: _Hashes) -> Bool:
         """(n,) where a token is wanted that is not here."""
+        if self._are_these(wanted):
+            return np.zeros(len(wanted.values), dtype=bool)
         asked = wanted.values[~wanted.are_empty]
         if self._are_many:
             asked.sort()
@@ -486,7 +488,7 @@ class _Tokens:
 
     def places(self, wanted: _Hashes) -> Indices:
         """(n,) where the wanted tokens stand, EMPTY or NOWHERE."""
-        if np.array_equal(wanted.values, self.hashes) and not wanted.are_empty.any():
+        if self._are_these(wanted):
             return np.arange(len(self.hashes))
         order = np.argsort(wanted.values) if self._are_many else np.arange(len(wanted.values))
         asked = wanted.values[order]
@@ -500,6 +502,10 @@ class _Tokens:
     @cached_property
     def _order(self) -> Indices:
         return np.argsort(self.hashes)
+
+    def _are_these(self, wanted: _Hashes) -> bool:
+        """Whether just the tokens that are here are wanted, in their order."""
+        return np.array_equal(wanted.values, self.hashes) and not wanted.are_empty.any()
 
     def _are_at(self, places: Indices, asked: npt.NDArray[np.uint64]) -> Bool:
         if not len(self._ascending):
