@@ -679,7 +679,7 @@ def test_dst_is_a_file(bench: Bench) -> None:
 
 
 def test_dst_and_src_are_apart(bench: Bench) -> None:
-    bench.refused(2, "inside SRC", dst=bench.src)
+    bench.refused(2, f"DST {bench.src} is SRC", dst=bench.src)
     bench.refused(2, "inside SRC", dst=bench.src / "out")
     bench.refused(2, "inside DST", dst=bench.folder)
     (bench.folder / "dst").symlink_to("src/samples")

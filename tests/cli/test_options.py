@@ -15,6 +15,7 @@ import pytest
 
 from tests.datasets import CHANNELS, SMALL_RIG, VERSION, Bench, rows, rows_of, tree, unidrive
 from unidrive_cli import __version__
+from unidrive_cli.cli import conversion
 
 SCENES = ("scene-0061", "scene-0103")
 SAMPLES = 4
@@ -531,3 +532,8 @@ def test_an_empty_config_file_changes_nothing(bench: Bench) -> None:
     config = bench.folder / "config.yaml"
     config.write_text("# quality: 90\n")
     assert bench.convert("--jobs", 0, "--dry-run", "--config", config).code == 0
+
+
+@pytest.mark.parametrize(("share", "text"), [(1.0, "100%"), (0.9996, "99%"), (0.29, "29%"), (0.0, "0%")])
+def test_what_is_not_whole_is_not_called_so(share: float, text: str) -> None:
+    assert conversion._percent(share) == text

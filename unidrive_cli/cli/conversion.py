@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -191,7 +192,7 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
         f"{plural(counts.annotations, 'annotation')}, "
         f"{counts.boxes_2d:,} 2D {'box' if counts.boxes_2d == 1 else 'boxes'}"
     )
-    covered = ", ".join(f"{channel} {share:.0%}" for channel, share in summary.covered.items())
+    covered = ", ".join(f"{channel} {_percent(share)}" for channel, share in summary.covered.items())
     typer.echo(f"covered: {covered}")
     if counts.visibility_lowered:
         typer.echo(f"visibility lowered for {counts.visibility_lowered:,} of {counts.annotations:,} annotations")
@@ -209,6 +210,11 @@ def _say_summary(summary: Summary, plan: Plan, dst: Path) -> None:
             f"verified: nuscenes-devkit opens it; {verified.pictures_decoded:,} of "
             f"{plural(verified.pictures_present, 'picture')} decoded"
         )
+
+
+def _percent(share: float) -> str:
+    """In whole percent, rounded down: what is not whole is not called so."""
+    return f"{math.floor(100 * share + 1e-6)}%"
 
 
 def and_sweeps(count: int) -> str:

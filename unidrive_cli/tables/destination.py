@@ -118,7 +118,8 @@ def check_apart(source: Path, destination: Path, names: tuple[str, str] = ("SRC"
     of_src, of_dst = names
     for place, src in zip(places, sources, strict=True):
         if src == dst or src in dst.parents:
-            raise UsageError(f"{of_dst} {destination} is inside {of_src} {place}; the source is never written to.")
+            lies = "is" if src == dst else "is inside"
+            raise UsageError(f"{of_dst} {destination} {lies} {of_src} {place}, which is never written to.")
         if dst in src.parents:
             raise UsageError(f"{of_src} {place} is inside {of_dst} {destination}; choose another {of_dst}.")
 
