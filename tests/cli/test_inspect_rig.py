@@ -297,3 +297,10 @@ def test_a_lens_for_a_camera_that_is_not_there(bench: Bench) -> None:
     run = unidrive("inspect-rig", bench.src, "--lenses", lenses)
     assert run.code == 2
     assert "Did you mean CAM_FRONT?" in run.stderr
+
+
+@pytest.mark.parametrize("options", [("--depth-limit", "1e9"), ("--depth-limit", -5), ("--ground-height", 2000)])
+def test_what_a_rig_is_compared_under_must_be_lengths(options: tuple[str, object]) -> None:
+    run = unidrive("inspect-rig", "roof-6x70", "--against", "6x60", *options)
+    assert run.code == 2
+    assert f"{options[0]} must be a" in run.stderr

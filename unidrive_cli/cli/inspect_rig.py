@@ -22,11 +22,11 @@ from unidrive_cli.cli.shared import (
     LENSES,
     SCENES,
     VERSION,
-    depth_and_ground_m,
     guarded,
     option,
     say_layout,
     say_table,
+    warp_choices,
 )
 from unidrive_cli.errors import UsageError
 
@@ -87,7 +87,8 @@ def inspect_rig_command(
     facts = inspect_rig(found)
     shares: Fill | None = None
     if rigs:
-        views = virtual_views(found, *depth_and_ground_m(found, depth_limit, ground_height))
+        choices = warp_choices(found, depth_limit, ground_height)
+        views = virtual_views(found, choices.depth_limit_m, choices.ground_height_m)
         shares = fill(views, rigs, DEFAULT_SWEEP_M if common_sweep is None else common_sweep)
     if as_json:
         filled = {} if shares is None else {"filled": _fill_document(found, rigs, shares)}

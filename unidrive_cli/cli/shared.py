@@ -235,25 +235,21 @@ class WarpOptions:
     )
 
     def choices(self, rig: Rig) -> WarpChoices:
-        """What was chosen; where an option is not given the rig's own value counts, then the default."""
-        return WarpChoices(
-            *depth_and_ground_m(rig, self.depth_limit, self.ground_height),
-            self.blend,
-            self.ego_motion,
-            self.anti_alias,
-            self.exposure,
-        )
+        """What was chosen, as `warp_choices` has it."""
+        others = (self.blend, self.ego_motion, self.anti_alias, self.exposure)
+        return warp_choices(rig, self.depth_limit, self.ground_height, *others)
 
 
-def depth_and_ground_m(rig: Rig, depth_limit_m: float | None, ground_height_m: float | None) -> tuple[float, float]:
-    """D0 and the ground's height; where an option is not given the rig's own value counts, then the default."""
+def warp_choices(rig: Rig, depth_limit_m: float | None, ground_height_m: float | None, *others: Any) -> WarpChoices:
+    """The options of the warp; where one of the two is not given the rig's own value counts, then the default."""
 
     def first(*values: float | None) -> float:
         return next(value for value in values if value is not None)
 
-    return (
+    return WarpChoices(
         first(depth_limit_m, rig.depth_limit_m, DEFAULT_DEPTH_LIMIT_M),
         first(ground_height_m, rig.ground_height_m, DEFAULT_GROUND_HEIGHT_M),
+        *others,
     )
 
 
