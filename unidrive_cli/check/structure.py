@@ -11,7 +11,7 @@ from unidrive_cli.check.finding import Broken
 from unidrive_cli.check.subject import Subject
 from unidrive_cli.errors import DatasetError
 from unidrive_cli.tables.converted import MARKER, WORK
-from unidrive_cli.tables.dataset import OPTIONAL
+from unidrive_cli.tables.dataset import OPTIONAL, Dataset
 from unidrive_cli.tables.extra import extra_table_paths, read_extra_table
 from unidrive_cli.tables.lacking import ASKED_FOR, lacking
 from unidrive_cli.tables.scanned import SCANNED, ScannedTable, scan_tables
@@ -59,20 +59,25 @@ def unreadable_tables(subject: Subject) -> Iterator[Broken]:
         DatasetError: none of the needed tables can be read.
     """
     try:
-        dataset = subject.dataset
+        faults = _faults_of_rows(subject.dataset)
     except DatasetError as error:
-        yield from _unreadable(subject, error)
-        return
+        faults = _faults_of_tables(subject, error)
+    for fault in faults:
+        yield fault.where, f"{fault.what} {fault.hint}".strip()
+
+
+def _faults_of_rows(dataset: Dataset) -> Iterator[DatasetError]:
+    """The first fault of each table of which not every row has been decoded yet."""
     for name in SCANNED:
         table = getattr(dataset, name)
         if isinstance(table, ScannedTable):
             try:
                 deque(table.rows, maxlen=0)
             except DatasetError as error:
-                yield error.where, f"{error.what} {error.hint}".strip()
+                yield error
 
 
-def _unreadable(subject: Subject, whole: DatasetError) -> Iterator[Broken]:
+def _faults_of_tables(subject: Subject, whole: DatasetError) -> Iterator[DatasetError]:
     """The first fault of each table of a dataset that cannot be opened."""
     found: dict[str, DatasetError] = {}
     for name in TABLES:
@@ -90,8 +95,7 @@ def _unreadable(subject: Subject, whole: DatasetError) -> Iterator[Broken]:
             found[path.stem] = error
     if not found and not set(NEEDED) & subject.missing:
         found[""] = whole
-    for fault in found.values():
-        yield fault.where, f"{fault.what} {fault.hint}".strip()
+    yield from found.values()
 
 
 def repeated_tokens(subject: Subject) -> Iterator[Broken]:

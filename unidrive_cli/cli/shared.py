@@ -123,14 +123,15 @@ def read_config(context: typer.Context, path: Path | None) -> Path | None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
+    from unidrive_cli.rig.yaml_reading import problem_and_place
+
     try:
         try:
             values = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, YAMLError, ValueError, RecursionError) as error:
-            what = getattr(error, "strerror", None) or getattr(error, "problem", None) or str(error).splitlines()[0]
-            mark = getattr(error, "problem_mark", None)
-            where = f"{path}, line {mark.line + 1}" if mark else str(path)
-            raise UsageError(f"--config cannot be read: {what}.", where=where) from error
+            problem, place = problem_and_place(error, str(path))
+            what = getattr(error, "strerror", None) or problem
+            raise UsageError(f"--config cannot be read: {what}.", where=place) from error
         known = {
             name.lstrip("-"): parameter
             for parameter in context.command.params

@@ -53,9 +53,7 @@ def parse_yaml(text: str, source: str) -> Any:
             warnings.simplefilter("ignore", YAMLWarning)
             return YAML(typ="rt").load(text)
     except YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{source}, line {mark.line + 1}" if mark is not None else source
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        problem, place = problem_and_place(error, source)
         if type(error).__name__ == "DuplicateKeyError":
             key = re.search(r'key "(.*?)"', str(problem))
             what = f"{key.group(1) if key else 'a key'} is given twice; channels and keys must be unique."
@@ -63,6 +61,13 @@ def parse_yaml(text: str, source: str) -> Any:
         raise RigError(f"is not valid YAML: {problem}.", where=place) from error
     except (ValueError, RecursionError, AttributeError, TypeError, LookupError) as error:
         raise RigError("is not valid YAML.", where=source) from error
+
+
+def problem_and_place(error: Exception, source: str) -> tuple[str, str]:
+    """What a YAML parser complains of, and the line of `source` where it does."""
+    mark = getattr(error, "problem_mark", None)
+    place = f"{source}, line {mark.line + 1}" if mark is not None else source
+    return getattr(error, "problem", None) or str(error).splitlines()[0], place
 
 
 def check_keys(mapping: CommentedMap, known: Iterable[str], needed: Iterable[str], where: str) -> None:
